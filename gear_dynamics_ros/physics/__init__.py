@@ -1,0 +1,1 @@
+"""The model: what is compiled and what is computed once."""

@@ -1,0 +1,119 @@
+"""The contract between the engine and everything that consumes it: channels, commands, chunks.
+
+SI units throughout; forces are those on the gear; simulated time is an integer of nanoseconds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Channel(NamedTuple):
+    """One column of the waveform."""
+
+    name: str
+    unit: str
+    meaning: str
+
+
+CHANNELS: tuple[Channel, ...] = (
+    Channel("time", "s", "simulated time"),
+    Channel("dte", "m", "dynamic transmission error q, static error subtracted"),
+    Channel("dte_rate", "m/s", "full derivative of q"),
+    Channel("mesh_force", "N", "F_p along the line of action, negative on the back flank"),
+    Channel("pressure_angle", "rad", "working pressure angle alpha"),
+    Channel("position_angle", "rad", "angle beta of the line of centres"),
+    Channel("half_backlash", "m", "b_1: half the backlash left by centre shift and surfaces"),
+    Channel("meshing_state", "", "1 drive flank, 0 apart, -1 back flank"),
+    Channel("driving_x", "m", "displacement of the driving gear's centre along x"),
+    Channel("driving_y", "m", "displacement of the driving gear's centre along y"),
+    Channel("driven_x", "m", "displacement of the driven gear's centre along x"),
+    Channel("driven_y", "m", "displacement of the driven gear's centre along y"),
+    Channel("driving_contact_force_x", "N", "bearing contact force on the driving gear"),
+    Channel("driving_contact_force_y", "N", "bearing contact force on the driving gear"),
+    Channel("driven_contact_force_x", "N", "bearing contact force on the driven gear"),
+    Channel("driven_contact_force_y", "N", "bearing contact force on the driven gear"),
+    Channel("driving_film_force_x", "N", "oil film force on the driving gear"),
+    Channel("driving_film_force_y", "N", "oil film force on the driving gear"),
+    Channel("driven_film_force_x", "N", "oil film force on the driven gear"),
+    Channel("driven_film_force_y", "N", "oil film force on the driven gear"),
+    Channel("driving_penetration", "m", "bearing penetration, negative = gap left"),
+    Channel("driven_penetration", "m", "bearing penetration, negative = gap left"),
+    Channel("driving_speed", "rad/s", "omega_1, positive in normal running"),
+    Channel("driven_speed", "rad/s", "omega_2, positive in normal running"),
+    Channel("drive_torque", "N m", "torque T_M applied to the driving shaft"),
+    Channel("load_torque", "N m", "torque T_L applied to the driven shaft, positive resists"),
+    Channel("driving_angle", "rad", "theta_1 within one revolution, 0 to 2 pi"),
+    Channel("mesh_phase", "rad", "mesh phase phi within one tooth, 0 to 2 pi"),
+)
+CHANNEL_NAMES: tuple[str, ...] = tuple(channel.name for channel in CHANNELS)
+COLUMN: dict[str, int] = {name: column for column, name in enumerate(CHANNEL_NAMES)}
+
+
+class Status(IntEnum):
+    """How an engine call ended; all but RUNNING end the run."""
+
+    RUNNING = 0
+    OVER_SPEED = 1
+    NON_FINITE = 2
+    CENTRES_PRESSED = 3
+
+
+class Commands(NamedTuple):
+    """Commands in force."""
+
+    drive_torque: float  # N m, T_M under control: torque
+    load_torque: float  # N m, T_L > 0 resists
+    speed: float  # rad/s, set-point of the governor or nominal speed
+
+
+class Counters(NamedTuple):
+    """Totals since the start of the run."""
+
+    steps: int
+    events: int  # contact and clamp events located
+    capped: int  # root searches or steps that met their limit of iterations or events
+    impacts: int  # bearing contacts begun
+    flank_changes: int  # mesh contacts begun or ended
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """The samples of one engine call, [t0, t0 + T).
+
+    ``samples`` has shape (n, 28), one column a CHANNELS entry, C-contiguous and never written to again.
+    ``angles`` has shape (n, 2): shaft angles of driving and driven gear in rad, accumulated over all revolutions
+    since the start or the last reset.
+    ``status`` other than RUNNING means the run ended at the last sample; ``message`` then says why.
+    """
+
+    first_sample: int
+    interval_ns: int
+    samples: NDArray[np.float64]
+    angles: NDArray[np.float64]
+    commands: Commands
+    counters: Counters
+    status: Status
+    message: str
+
+    def __len__(self) -> int:
+        return len(self.samples)
+
+    def __getitem__(self, channel: str) -> NDArray[np.float64]:
+        """Column of one channel, shape (n,)."""
+        return self.samples[:, COLUMN[channel]]
+
+    @property
+    def start_ns(self) -> int:
+        """Simulated time of the first sample."""
+        return self.first_sample * self.interval_ns
+
+    @property
+    def last_ns(self) -> int:
+        """Simulated time of the last sample."""
+        return (self.first_sample + len(self) - 1) * self.interval_ns
