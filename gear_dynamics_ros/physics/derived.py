@@ -1,0 +1,181 @@
+"""From parameters to what the kernel works with: constants and the table of periodic excitations."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.physics import kernel
+from gear_dynamics_ros.physics.restitution import damping_factor
+from gear_dynamics_ros.physics.surface import Surface, fractal_surface
+
+
+class Excitations(NamedTuple):
+    """Every periodic excitation as one trigonometric series over the hunting cycle.
+
+    ``orders`` (n,) waves per cycle; ``cosines`` and ``sines`` (n, EXCITATIONS): amplitudes of surface height z1 + z2,
+    its first and second derivative by the mesh phase, stiffness modulation and slope, static error with two
+    derivatives; m and rad, stiffness dimensionless. n is a whole number of vector blocks.
+    """
+
+    orders: NDArray[np.float64]
+    cosines: NDArray[np.float64]
+    sines: NDArray[np.float64]
+
+
+def base_radii(parameters: Parameters) -> tuple[float, float]:
+    """Base radii of driving and driven gear, m."""
+    gears = parameters.gears
+    half = 0.5 * gears.module * math.cos(gears.pressure_angle)
+    return half * gears.driving.teeth, half * gears.driven.teeth
+
+
+def hunting_turns(parameters: Parameters) -> int:
+    """Turns of the driving gear after which the same teeth meet again, Z2 / gcd(Z1, Z2)."""
+    gears = parameters.gears
+    return gears.driven.teeth // math.gcd(gears.driving.teeth, gears.driven.teeth)
+
+
+def mesh_damping(parameters: Parameters) -> float:
+    """c_1 of (26) in N s/m."""
+    gears = parameters.gears
+    r1, r2 = base_radii(parameters)
+    j1, j2 = gears.driving.inertia, gears.driven.inertia
+    return 2.0 * parameters.mesh.damping_ratio * math.sqrt(
+        parameters.mesh.stiffness * j1 * j2 / (r1 * r1 * j2 + r2 * r2 * j1)
+    )
+
+
+def involute_series(tan2: float) -> tuple[float, ...]:
+    """Coefficients of inv alpha - inv alpha0 in xi^1.. where tan^2 alpha = ``tan2`` + xi.
+
+    With w = tan alpha, d(w - atan w)/dxi = w / (2 (1 + w^2)); both factors have binomial series.
+    """
+    terms = kernel.SERIES_TERMS
+    root, inverse = [math.sqrt(tan2)], [1.0 / (1.0 + tan2)]
+    for k in range(1, terms):
+        root.append(root[-1] * (1.5 - k) / (k * tan2))
+        inverse.append(-inverse[-1] / (1.0 + tan2))
+    return tuple(
+        math.fsum(root[i] * inverse[k - i] for i in range(k + 1)) / (2.0 * (k + 1)) for k in range(terms)
+    )
+
+
+def surfaces(parameters: Parameters) -> tuple[Surface, Surface]:
+    """Tooth surfaces of driving and driven gear."""
+    gears, surface = parameters.gears, parameters.surface
+
+    def of(teeth: int, side: str) -> Surface:
+        own = getattr(surface, side)
+        return fractal_surface(
+            teeth=teeth,
+            roughness=own.roughness,
+            fractal_dimension=own.fractal_dimension,
+            offset=own.offset,
+            scale=surface.scale,
+            waves=surface.waves,
+        )
+
+    return of(gears.driving.teeth, "driving"), of(gears.driven.teeth, "driven")
+
+
+def excitations(parameters: Parameters) -> Excitations:
+    """Table of surfaces, stiffness and static error; waves of the same order share a row. (16)-(18), (24), (25)."""
+    turns = hunting_turns(parameters)
+    teeth = parameters.gears.driving.teeth
+    rows: dict[int, NDArray[np.float64]] = {}
+
+    def add(order: int, value_column: int, derivatives: int, cosine: float, sine: float) -> None:
+        row = rows.setdefault(order, np.zeros((2, kernel.EXCITATIONS)))
+        per_phase = order / (teeth * turns)
+        for column in range(value_column, value_column + derivatives + 1):
+            row[:, column] += cosine, sine
+            cosine, sine = per_phase * sine, -per_phase * cosine
+
+    driving, driven = surfaces(parameters)
+    driven_turns = turns * teeth // parameters.gears.driven.teeth
+    for surface, own_turns in ((driving, turns), (driven, driven_turns)):
+        for order, cosine, sine in zip(surface.orders.tolist(), surface.cosine, surface.sine, strict=True):
+            add(order * own_turns, kernel.SURFACE, 2, float(cosine), float(sine))
+    mesh = parameters.mesh
+    for column, derivatives, cosines, sines in (
+        (kernel.STIFFNESS, 1, mesh.stiffness_cos, mesh.stiffness_sin),
+        (kernel.ERROR, 2, mesh.error_cos, mesh.error_sin),
+    ):
+        for h, cosine in enumerate(cosines, start=1):
+            add(h * teeth * turns, column, derivatives, cosine, 0.0)
+        for h, sine in enumerate(sines, start=1):
+            add(h * teeth * turns, column, derivatives, 0.0, sine)
+
+    orders = sorted(rows)
+    count = -(-len(orders) // kernel.ROW_BLOCK) * kernel.ROW_BLOCK
+    padded = np.zeros(count)
+    padded[: len(orders)] = orders
+    amplitudes = np.zeros((2, count, kernel.EXCITATIONS))
+    for index, order in enumerate(orders):
+        amplitudes[:, index] = rows[order]
+    return Excitations(padded, amplitudes[0], amplitudes[1])
+
+
+def constants(parameters: Parameters) -> kernel.Constants:
+    """The kernel's constants; every derived number of the model is computed here."""
+    gears, mesh, operation = parameters.gears, parameters.mesh, parameters.operation
+    r1, r2 = base_radii(parameters)
+    tan_alpha0 = math.tan(gears.pressure_angle)
+    return kernel.Constants(
+        kelvin=parameters.model == "traditional",
+        film=parameters.model == "improved",
+        exact_geometry=parameters.mesh_geometry == "exact",
+        contact_damping=parameters.mesh_damping == "contact",
+        nominal_phase=parameters.mesh_phase == "nominal",
+        brake=operation.load_law == "brake",
+        governed=operation.control == "speed",
+        centre_distance=0.5 * gears.module * (gears.driving.teeth + gears.driven.teeth),
+        base_radius1=r1,
+        base_radius2=r2,
+        tan2_alpha0=tan_alpha0**2,
+        involute_alpha0=tan_alpha0 - math.atan(tan_alpha0),
+        involute_series=involute_series(tan_alpha0**2),
+        half_backlash=0.5 * gears.backlash,
+        stiffness=mesh.stiffness,
+        damping=mesh_damping(parameters),
+        error_mean=mesh.error_mean,
+        mass1=gears.driving.mass,
+        mass2=gears.driven.mass,
+        inertia1=gears.driving.inertia,
+        inertia2=gears.driven.inertia,
+        teeth1=float(gears.driving.teeth),
+        hunting=float(hunting_turns(parameters)),
+        bearing1=bearing_constants(parameters, "driving"),
+        bearing2=bearing_constants(parameters, "driven"),
+        minimum_impact_speed=parameters.bearings.minimum_impact_speed,
+        eccentricity_limit2=parameters.oil.eccentricity_limit**2,
+        load_viscous=operation.load_viscous,
+        governor_proportional=operation.governor.proportional,
+        governor_integral=operation.governor.integral,
+        governor_limit=operation.governor.torque_limit,
+        speed_limit=operation.speed_limit,
+        step=parameters.solver.step,
+        steps_per_sample=parameters.solver.steps_per_sample,
+    )
+
+
+def bearing_constants(parameters: Parameters, side: str) -> kernel.BearingConstants:
+    """Constants of the bearing of one ``side``, driving or driven. (2), (3), (15)."""
+    bearing, shaft, sleeve = getattr(parameters.bearings, side), parameters.bearings.shaft, parameters.bearings.sleeve
+    compliance = (1.0 - shaft.poissons_ratio**2) / shaft.youngs_modulus + (
+        1.0 - sleeve.poissons_ratio**2
+    ) / sleeve.youngs_modulus
+    return kernel.BearingConstants(
+        clearance=bearing.clearance,
+        kelvin_stiffness=bearing.kelvin_stiffness,
+        kelvin_damping=bearing.kelvin_damping,
+        hertz=0.5 * math.pi * bearing.length / compliance * math.sqrt(0.5),
+        damping_factor=damping_factor(bearing.restitution, parameters.restitution_law),
+        oil_clearance=bearing.oil_clearance,
+        film=parameters.oil.viscosity * 0.5 * bearing.diameter * bearing.length**3 / (4.0 * bearing.oil_clearance**2),
+    )
