@@ -1,0 +1,287 @@
+"""Chunks, commands and events as ROS 2 messages in CDR, made without ROS: the bytes published are those recorded."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Iterable, Sequence
+from typing import Any, Final, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.typesys import Stores, get_typestore
+
+from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.signals import COLUMN, Chunk, Commands
+
+TYPESTORE: Final = get_typestore(Stores.ROS2_JAZZY)
+
+
+class Topic(NamedTuple):
+    """One topic of the node: its name, type, quality of service and content."""
+
+    name: str  # "~/..." below the node, "/..." absolute, else in the node's namespace
+    type: str
+    reliable: bool
+    depth: int
+    latched: bool
+    help: str
+
+
+class Record(NamedTuple):
+    """One message, ready to be published and recorded."""
+
+    topic: str  # key in TOPICS
+    time_ns: int
+    data: bytes
+
+
+FLOAT64 = "std_msgs/msg/Float64"
+INT8 = "std_msgs/msg/Int8"
+STRING = "std_msgs/msg/String"
+JOINT_STATE = "sensor_msgs/msg/JointState"
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+ARRAY = "std_msgs/msg/Float64MultiArray"
+
+# A subscriber that stalls for a second at the default 500 Hz still gets every chunk of the waveform.
+WAVEFORM_DEPTH = 500
+
+TOPICS: Final[dict[str, Topic]] = {
+    "drive_torque_command": Topic(
+        "~/command/drive_torque", FLOAT64, True, 10, False, "drive torque to apply, N m"
+    ),
+    "load_torque_command": Topic(
+        "~/command/load_torque", FLOAT64, True, 10, False, "load torque to apply, N m"
+    ),
+    "speed_command": Topic("~/command/speed", FLOAT64, True, 10, False, "speed set-point, rad/s"),
+    "joint_command": Topic(
+        "~/command/joint",
+        JOINT_STATE,
+        True,
+        10,
+        False,
+        "driving: velocity = set-point rad/s, effort = drive torque N m; driven: effort = load torque N m",
+    ),
+    "joint_states": Topic(
+        "joint_states",
+        JOINT_STATE,
+        True,
+        10,
+        False,
+        "driving, driven (rad, rad/s, N m) and mesh (DTE m, its rate m/s, mesh force N)",
+    ),
+    "dte": Topic("~/dte", FLOAT64, True, 10, False, "dynamic transmission error, m"),
+    "mesh_force": Topic("~/mesh_force", FLOAT64, True, 10, False, "force along the line of action, N"),
+    "pressure_angle": Topic("~/pressure_angle", FLOAT64, True, 10, False, "working pressure angle, rad"),
+    "driving_bearing_force": Topic(
+        "~/bearing_force/driving", WRENCH, True, 10, False, "contact and film force on the driving gear, N"
+    ),
+    "driven_bearing_force": Topic(
+        "~/bearing_force/driven", WRENCH, True, 10, False, "contact and film force on the driven gear, N"
+    ),
+    "waveform": Topic(
+        "~/waveform", ARRAY, True, WAVEFORM_DEPTH, False, "every sample of the chunk, a row each; SI units"
+    ),
+    "meshing_state": Topic("~/meshing_state", INT8, True, 10, False, "1 drive flank, 0 apart, -1 back flank"),
+    "diagnostics": Topic(
+        "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", True, 10, False, "health of engine and sinks"
+    ),
+    "clock": Topic("/clock", "rosgraph_msgs/msg/Clock", False, 1, False, "simulated time"),
+    "applied_command": Topic(
+        "~/command/applied",
+        JOINT_STATE,
+        True,
+        1,
+        True,
+        "commands in force, stamped at the sample where they take effect; laid out like ~/command/joint",
+    ),
+    "event": Topic("~/event", STRING, True, 10, True, "JSON: sample, time (s), event, message"),
+}
+
+
+def resolve(topic: Topic, node: str = "/gearbox") -> str:
+    """Full name of a topic for the node with the full name ``node``."""
+    if topic.name.startswith("~/"):
+        return f"{node}/{topic.name[2:]}"
+    if topic.name.startswith("/"):
+        return topic.name
+    return f"{node.rpartition('/')[0]}/{topic.name}"
+
+
+def serialize(type_name: str, message: Any) -> bytes:
+    """CDR (little endian, with its header) of a rosbags message."""
+    return bytes(TYPESTORE.serialize_cdr(message, type_name))
+
+
+def deserialize(type_name: str, data: bytes | memoryview) -> Any:
+    """Message of the type ``type_name`` from CDR."""
+    return TYPESTORE.deserialize_cdr(data, type_name)
+
+
+def message_class(type_name: str) -> Any:
+    """Class whose instances ``serialize`` takes; fields as in the ROS message, arrays as NumPy's."""
+    return TYPESTORE.types[type_name]
+
+
+def stamp(time_ns: int) -> Any:
+    """builtin_interfaces/Time of an integer of nanoseconds."""
+    seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
+    return message_class("builtin_interfaces/msg/Time")(sec=seconds, nanosec=nanoseconds)
+
+
+def stamp_ns(time: Any) -> int:
+    """Integer of nanoseconds of a builtin_interfaces/Time."""
+    return int(time.sec) * 1_000_000_000 + int(time.nanosec)
+
+
+def waveform_message(names: Sequence[str], samples: NDArray[np.float64]) -> Any:
+    """Float64MultiArray of samples (n, len(names))."""
+    dimension = message_class("std_msgs/msg/MultiArrayDimension")
+    rows, columns = samples.shape
+    layout = message_class("std_msgs/msg/MultiArrayLayout")(
+        dim=[
+            dimension(label="sample", size=rows, stride=rows * columns),
+            dimension(label=",".join(names), size=columns, stride=columns),
+        ],
+        data_offset=0,
+    )
+    return message_class(ARRAY)(layout=layout, data=samples.reshape(-1))
+
+
+def waveform_samples(message: Any) -> tuple[tuple[str, ...], NDArray[np.float64]]:
+    """Channel names and samples (n, channels) of a waveform message."""
+    names = tuple(message.layout.dim[1].label.split(","))
+    return names, np.asarray(message.data, dtype=np.float64).reshape(-1, len(names))
+
+
+def joint_state(
+    time_ns: int,
+    names: Iterable[str],
+    position: Sequence[float],
+    velocity: Sequence[float],
+    effort: Sequence[float],
+) -> Any:
+    """JointState; each of the three sequences may be empty."""
+    return message_class(JOINT_STATE)(
+        header=_header(time_ns, ""),
+        name=list(names),
+        position=np.array(position, dtype=np.float64),
+        velocity=np.array(velocity, dtype=np.float64),
+        effort=np.array(effort, dtype=np.float64),
+    )
+
+
+def applied_commands(message: Any) -> Commands:
+    """Commands in force that an ``applied_command`` message tells."""
+    return Commands(
+        drive_torque=float(message.effort[0]),
+        load_torque=float(message.effort[1]),
+        speed=float(message.velocity[0]),
+    )
+
+
+class Encoder:
+    """Makes the messages of one node's run.
+
+    Stamps are ``epoch_ns`` plus simulated time.
+    """
+
+    def __init__(self, parameters: Parameters, epoch_ns: int) -> None:
+        prefix = parameters.joint_prefix
+        self._epoch_ns = epoch_ns
+        self._interval_ns = parameters.solver.sample_interval_ns
+        self._shafts = (f"{prefix}driving", f"{prefix}driven")
+        self._joints = (*self._shafts, f"{prefix}mesh")
+        self._channels = tuple(parameters.waveform_channels)
+        self._columns = [COLUMN[name] for name in self._channels]
+        self._all_channels = self._columns == list(range(len(COLUMN)))
+        self._waveform_prefixes: dict[int, bytes] = {}
+
+    def chunk(self, chunk: Chunk) -> list[Record]:
+        """All messages of one chunk, stamped at its last sample; none of a chunk without samples."""
+        if not len(chunk):
+            return []
+        time_ns = self._epoch_ns + chunk.last_ns
+        last = dict(zip(COLUMN, chunk.samples[-1].tolist(), strict=True))
+        payloads = {
+            "joint_states": self._joint_states(time_ns, last, chunk.angles[-1].tolist()),
+            "dte": _float64(last["dte"]),
+            "mesh_force": _float64(last["mesh_force"]),
+            "pressure_angle": _float64(last["pressure_angle"]),
+            "driving_bearing_force": _bearing_force(time_ns, last, "driving"),
+            "driven_bearing_force": _bearing_force(time_ns, last, "driven"),
+            "meshing_state": _int8(_flank(last["meshing_state"])),
+            "waveform": self._waveform(chunk.samples),
+        }
+        return [Record(topic, time_ns, data) for topic, data in payloads.items()]
+
+    def applied(self, commands: Commands, sample: int) -> Record:
+        """Commands in force from ``sample`` on."""
+        time_ns = self._epoch_ns + sample * self._interval_ns
+        message = joint_state(
+            time_ns,
+            self._shafts,
+            (),
+            (commands.speed, math.nan),
+            (commands.drive_torque, commands.load_torque),
+        )
+        return Record("applied_command", time_ns, serialize(JOINT_STATE, message))
+
+    def event(self, kind: str, sample: int, message: str) -> Record:
+        """An event (reset, pause, resume, end ...) that happened before ``sample`` was made."""
+        elapsed_ns = sample * self._interval_ns
+        text = json.dumps({"sample": sample, "time": elapsed_ns / 1e9, "event": kind, "message": message})
+        data = serialize(STRING, message_class(STRING)(data=text))
+        return Record("event", self._epoch_ns + elapsed_ns, data)
+
+    def _joint_states(self, time_ns: int, last: dict[str, float], angles: list[float]) -> bytes:
+        message = joint_state(
+            time_ns,
+            self._joints,
+            (*angles, last["dte"]),
+            (last["driving_speed"], last["driven_speed"], last["dte_rate"]),
+            (last["drive_torque"], last["load_torque"], last["mesh_force"]),
+        )
+        return serialize(JOINT_STATE, message)
+
+    def _waveform(self, samples: NDArray[np.float64]) -> bytes:
+        picked = samples if self._all_channels else np.ascontiguousarray(samples[:, self._columns])
+        prefix = self._waveform_prefixes.get(len(picked))
+        if prefix is None:
+            whole = serialize(ARRAY, waveform_message(self._channels, picked))
+            prefix = self._waveform_prefixes[len(picked)] = whole[: -picked.nbytes]
+        # numpy's bytes are the native order; CDR's header here says little endian
+        return prefix + cast("bytes", picked.astype("<f8", copy=False).tobytes())
+
+
+# The smallest messages are packed by hand: four of them are made per chunk.
+_CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+
+
+def _float64(value: float) -> bytes:
+    return _CDR_LITTLE_ENDIAN + struct.pack("<d", value)
+
+
+def _int8(value: int) -> bytes:
+    return _CDR_LITTLE_ENDIAN + struct.pack("<b", value)
+
+
+def _flank(state: float) -> int:
+    return int(state) if math.isfinite(state) else 0
+
+
+def _header(time_ns: int, frame_id: str) -> Any:
+    return message_class("std_msgs/msg/Header")(stamp=stamp(time_ns), frame_id=frame_id)
+
+
+def _bearing_force(time_ns: int, last: dict[str, float], gear: str) -> bytes:
+    vector = message_class("geometry_msgs/msg/Vector3")
+    force = vector(
+        x=last[f"{gear}_contact_force_x"] + last[f"{gear}_film_force_x"],
+        y=last[f"{gear}_contact_force_y"] + last[f"{gear}_film_force_y"],
+        z=0.0,
+    )
+    wrench = message_class("geometry_msgs/msg/Wrench")(force=force, torque=vector(x=0.0, y=0.0, z=0.0))
+    message = message_class(WRENCH)(header=_header(time_ns, f"{gear}_bearing"), wrench=wrench)
+    return serialize(WRENCH, message)
