@@ -1,0 +1,892 @@
+"""What can be set: one table of parameters with type, unit, bounds and help, and its way from and to YAML.
+
+Every leaf is declared once, through ``spec``. A ``Parameters`` object is always valid: building one checks each value
+against its bounds and the values against each other. SI units throughout.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import math
+import re
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from fractions import Fraction
+from functools import cache
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias, get_type_hints
+
+import yaml
+
+from gear_dynamics_ros.errors import UsageError
+from gear_dynamics_ros.physics.surface import LARGEST_ORDER
+from gear_dynamics_ros.signals import CHANNEL_NAMES
+
+Value: TypeAlias = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
+
+SECTIONS = ("/**", "gearbox", "/gearbox")  # in the order in which they override one another
+MOST_HARMONICS = 32
+MOST_SAMPLES_PER_CHUNK = 1_000_000
+SMALLEST_NORMAL = sys.float_info.min  # below it strtod reports an underflow and rcl reads a string
+NANOSECONDS = 10**9
+
+
+class Specification(NamedTuple):
+    """One row of the table of parameters. Bounds are inclusive unless marked; None is no bound."""
+
+    name: str  # dotted
+    type: type  # bool, int, float, str or tuple
+    element: type  # type of the entries of a tuple, otherwise ``type``
+    default: Value
+    unit: str
+    help: str
+    minimum: float | None
+    maximum: float | None
+    exclusive_minimum: bool
+    exclusive_maximum: bool
+    choices: tuple[str, ...]  # empty: any
+    length: tuple[int, int] | None  # fewest and most entries of a tuple
+    runtime: bool  # may change while the gearbox runs
+
+    @property
+    def limits(self) -> str:
+        """What is allowed, in words; empty where everything of the type is."""
+        if self.choices:
+            return "one of " + ", ".join(self.choices)
+        bounds = []
+        if self.minimum is not None:
+            bounds.append(f"{'>' if self.exclusive_minimum else '>='} {self.minimum:.9g}")
+        if self.maximum is not None:
+            bounds.append(f"{'<' if self.exclusive_maximum else '<='} {self.maximum:.9g}")
+        return " and ".join(bounds)
+
+
+def spec(
+    default: Value,
+    help: str,
+    *,
+    unit: str = "",
+    minimum: float | None = None,
+    maximum: float | None = None,
+    exclusive_minimum: bool = False,
+    exclusive_maximum: bool = False,
+    choices: Sequence[str] = (),
+    length: tuple[int, int] | None = None,
+    runtime: bool = False,
+) -> Any:
+    """Declare a leaf: its default and its row of the table."""
+    kind = type(default)
+    row = Specification(
+        name="",
+        type=kind,
+        element=type(default[0]) if isinstance(default, tuple) else kind,
+        default=default,
+        unit=unit,
+        help=help,
+        minimum=minimum,
+        maximum=maximum,
+        exclusive_minimum=exclusive_minimum,
+        exclusive_maximum=exclusive_maximum,
+        choices=tuple(choices),
+        length=length,
+        runtime=runtime,
+    )
+    return field(default=default, metadata={"specification": row})
+
+
+def _positive(default: float, help: str, *, unit: str, maximum: float) -> Any:
+    return spec(default, help, unit=unit, minimum=0.0, exclusive_minimum=True, maximum=maximum)
+
+
+def _harmonics(default: float, help: str, *, unit: str = "", limit: float) -> Any:
+    return spec((default,), help, unit=unit, minimum=-limit, maximum=limit, length=(1, MOST_HARMONICS))
+
+
+@dataclass(frozen=True, slots=True)
+class Gear:
+    teeth: int = spec(40, "number of teeth Z", minimum=5, maximum=1000)
+    mass: float = _positive(1.0, "mass m", unit="kg", maximum=1e6)
+    inertia: float = _positive(2.23e-3, "moment of inertia J about the shaft", unit="kg m^2", maximum=1e6)
+
+
+@dataclass(frozen=True, slots=True)
+class Gears:
+    module: float = _positive(0.003, "module M, the same for both gears", unit="m", maximum=1.0)
+    pressure_angle: float = spec(
+        0.3490658503988659,
+        "nominal pressure angle alpha_0",
+        unit="rad",
+        minimum=0.0,
+        exclusive_minimum=True,
+        maximum=math.pi / 3.0,
+        exclusive_maximum=True,
+    )
+    backlash: float = _positive(50.0e-6, "total backlash 2 b_0 along the line of action", unit="m", maximum=0.1)
+    driving: Gear = field(default_factory=Gear)
+    driven: Gear = field(default_factory=Gear)
+
+
+@dataclass(frozen=True, slots=True)
+class Mesh:
+    stiffness: float = _positive(3.0e8, "mean mesh stiffness k_m", unit="N/m", maximum=1e13)
+    stiffness_cos: tuple[float, ...] = _harmonics(
+        0.08, "cosine part of the stiffness at 1, 2, ... times mesh frequency, relative to the mean", limit=1.0
+    )
+    stiffness_sin: tuple[float, ...] = _harmonics(
+        0.0, "sine part of the stiffness, relative to the mean; a missing harmonic is 0", limit=1.0
+    )
+    damping_ratio: float = spec(0.1, "damping ratio xi_2 of the mesh", minimum=0.0, maximum=10.0)
+    error_mean: float = spec(0.0, "mean static transmission error e_m", unit="m", minimum=-0.1, maximum=0.1)
+    error_cos: tuple[float, ...] = _harmonics(
+        9.2e-6, "cosine part of the static transmission error at 1, 2, ... times mesh frequency", unit="m", limit=0.1
+    )
+    error_sin: tuple[float, ...] = _harmonics(
+        0.0, "sine part of the static transmission error; a missing harmonic is 0", unit="m", limit=0.1
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ToothSurface:
+    roughness: float = spec(0.8e-6, "mean roughness Ra; 0 is a smooth tooth", unit="m", minimum=0.0, maximum=1e-2)
+    fractal_dimension: float = spec(
+        1.1,
+        "fractal dimension D of the profile",
+        minimum=1.0,
+        exclusive_minimum=True,
+        maximum=2.0,
+        exclusive_maximum=True,
+    )
+    offset: float = spec(
+        0.0, "phase psi of all waves", unit="rad", minimum=-2.0 * math.pi, maximum=2.0 * math.pi
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    scale: float = spec(
+        1.5,
+        "ratio lambda of the frequencies of successive waves",
+        minimum=1.0,
+        exclusive_minimum=True,
+        maximum=100.0,
+    )
+    waves: int = spec(8, "number N of waves in the profile", minimum=1, maximum=32)
+    driving: ToothSurface = field(default_factory=ToothSurface)
+    driven: ToothSurface = field(default_factory=ToothSurface)
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    youngs_modulus: float = _positive(210.0e9, "Young's modulus E", unit="Pa", maximum=1e14)
+    poissons_ratio: float = spec(0.3, "Poisson's ratio nu", minimum=-1.0, exclusive_minimum=True, maximum=0.5)
+
+
+@dataclass(frozen=True, slots=True)
+class Bearing:
+    clearance: float = _positive(
+        27.0e-6, "radial clearance b_b, where contact begins; below oil_clearance", unit="m", maximum=0.1
+    )
+    length: float = _positive(13.0e-3, "length L", unit="m", maximum=10.0)
+    diameter: float = _positive(50.0e-3, "diameter D", unit="m", maximum=10.0)
+    oil_clearance: float = _positive(150.0e-6, "radial clearance C of the oil film", unit="m", maximum=0.1)
+    restitution: float = spec(0.2, "coefficient of restitution eta", minimum=0.05, maximum=1.0)
+    kelvin_stiffness: float = _positive(
+        1.0e8, "contact stiffness k_b of the traditional model", unit="N/m", maximum=1e13
+    )
+    kelvin_damping: float = spec(
+        2000.0, "contact damping c_b of the traditional model", unit="N s/m", minimum=0.0, maximum=1e9
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Bearings:
+    shaft: Material = field(default_factory=Material)
+    sleeve: Material = field(default_factory=Material)
+    minimum_impact_speed: float = _positive(
+        1.0e-3, "least impact speed v_min that enters the contact law", unit="m/s", maximum=100.0
+    )
+    driving: Bearing = field(default_factory=Bearing)
+    driven: Bearing = field(default_factory=Bearing)
+
+
+@dataclass(frozen=True, slots=True)
+class Oil:
+    viscosity: float = spec(2.28e-2, "dynamic viscosity mu", unit="Pa s", minimum=0.0, maximum=1e3)
+    eccentricity_limit: float = spec(
+        0.98, "relative eccentricity past which the film force is held", minimum=0.1, maximum=0.999
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Governor:
+    proportional: float = spec(0.5, "proportional gain", unit="N m s/rad", minimum=0.0, maximum=1e6)
+    integral: float = spec(5.0, "integral gain", unit="N m/rad", minimum=0.0, maximum=1e9)
+    torque_limit: float = _positive(200.0, "largest drive torque, either way", unit="N m", maximum=1e6)
+
+
+@dataclass(frozen=True, slots=True)
+class Operation:
+    control: str = spec(
+        "speed", "who sets the drive torque: the command or a PI governor of the speed", choices=("torque", "speed")
+    )
+    speed: float = spec(
+        1623.156,
+        "speed of the driving gear at the start, and set-point; not beyond speed_limit",
+        unit="rad/s",
+        minimum=-1e6,
+        maximum=1e6,
+    )
+    drive_torque: float = spec(30.0, "torque T_M on the driving shaft", unit="N m", minimum=-1e6, maximum=1e6)
+    load_torque: float = spec(
+        30.0, "torque T_L on the driven shaft, positive resists", unit="N m", minimum=-1e6, maximum=1e6
+    )
+    load_law: str = spec(
+        "constant",
+        "constant: load_torque as it is; brake: against the motion, load_torque tanh(omega_2 / 1 rad/s)",
+        choices=("constant", "brake"),
+    )
+    load_viscous: float = spec(
+        0.0, "viscous load on the driven shaft", unit="N m s/rad", minimum=0.0, maximum=1e6
+    )
+    speed_limit: float = _positive(5000.0, "speed that trips the run", unit="rad/s", maximum=1e6)
+    governor: Governor = field(default_factory=Governor)
+    command_timeout: float = spec(
+        0.0, "age of the last command, in wall time, that triggers on_timeout; 0 is never", unit="s",
+        minimum=0.0, maximum=1e9,
+    )
+    on_timeout: str = spec(
+        "hold", "hold the last commands, or release: both torques to 0", choices=("hold", "release")
+    )
+    initial: str = spec(
+        "touching",
+        "start with the drive flank touching: at operation.speed, or at rest",
+        choices=("touching", "rest"),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Solver:
+    step: float = spec(1.0e-6, "integration step", unit="s", minimum=1e-9, maximum=1e-2)
+    sample_interval: float = spec(
+        1.0e-5,
+        "interval of the waveform's samples: a whole number of nanoseconds and of steps",
+        unit="s",
+        minimum=1e-9,
+        maximum=1.0,
+    )
+    chunk: float = spec(
+        2.0e-3,
+        "what one engine call simulates: a whole number of samples; commands take effect at its edges",
+        unit="s",
+        minimum=1e-9,
+        maximum=10.0,
+    )
+
+    @property
+    def sample_interval_ns(self) -> int:
+        """Sample interval in nanoseconds, exact."""
+        return _whole(self.sample_interval, Fraction(1, NANOSECONDS))
+
+    @property
+    def steps_per_sample(self) -> int:
+        """Integration steps in a sample interval, exact."""
+        return _whole(self.sample_interval, _decimal(self.step))
+
+    @property
+    def samples_per_chunk(self) -> int:
+        """Samples in a chunk, exact."""
+        return _whole(self.chunk, _decimal(self.sample_interval))
+
+
+@dataclass(frozen=True, slots=True)
+class Pacing:
+    real_time_factor: float = spec(
+        1.0,
+        "simulated time per wall time; 0 is as fast as possible",
+        minimum=0.0,
+        maximum=1e6,
+        runtime=True,
+    )
+    duration: float = spec(
+        0.0, "simulated time after which the run ends; 0 is until stopped", unit="s", minimum=0.0, maximum=1e9
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    path: str = spec("", "folder to record to, must not exist yet; empty is no recording")
+
+
+@dataclass(frozen=True, slots=True)
+class Rerun:
+    mode: str = spec("none", "where the Rerun stream goes", choices=("none", "save", "serve", "connect"))
+    path: str = spec("", "file to write (save)")
+    port: int = spec(9876, "port on 127.0.0.1 for viewers to connect to (serve)", minimum=1, maximum=65535)
+    url: str = spec("rerun+http://127.0.0.1:9876/proxy", "viewer to send to (connect)")
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """Everything that can be set. ``Parameters()`` holds the defaults, which config/gearbox.yaml spells out.
+
+    Raises UsageError if a value has the wrong type, is out of bounds, or does not fit the others.
+    """
+
+    model: str = spec(
+        "improved",
+        "bearing model: Kelvin contact; Hertz contact with restitution; the same with oil film",
+        choices=("traditional", "compared", "improved"),
+    )
+    mesh_geometry: str = spec(
+        "exact", "transmission error of displaced centres: as printed, or exact", choices=("published", "exact")
+    )
+    mesh_damping: str = spec(
+        "contact", "mesh damping: also in free flight, or in contact only", choices=("always", "contact")
+    )
+    restitution_law: str = spec(
+        "exact",
+        "hysteresis factor of the bearing contact: as printed, or such that eta is what is delivered",
+        choices=("lankarani_nikravesh", "exact"),
+    )
+    mesh_phase: str = spec(
+        "actual", "mesh phase from the speed set-point, or from the state", choices=("nominal", "actual")
+    )
+    gears: Gears = field(default_factory=Gears)
+    mesh: Mesh = field(default_factory=Mesh)
+    surface: Surface = field(default_factory=Surface)
+    bearings: Bearings = field(default_factory=Bearings)
+    oil: Oil = field(default_factory=Oil)
+    operation: Operation = field(default_factory=Operation)
+    solver: Solver = field(default_factory=Solver)
+    pacing: Pacing = field(default_factory=Pacing)
+    recording: Recording = field(default_factory=Recording)
+    rerun: Rerun = field(default_factory=Rerun)
+    autostart: bool = spec(True, "configure and activate the node by itself")
+    joint_prefix: str = spec("", "put before the joint names driving, driven and mesh")
+    waveform_channels: tuple[str, ...] = spec(
+        CHANNEL_NAMES,
+        "channels of the waveform, time first",
+        choices=CHANNEL_NAMES,
+        length=(1, len(CHANNEL_NAMES)),
+    )
+    clock_rate: float = spec(0.0, "rate of /clock; 0 is none", unit="Hz", minimum=0.0, maximum=1e4)
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+    @classmethod
+    def from_flat(cls, values: Mapping[str, object]) -> Parameters:
+        """Parameters from dotted names; what is missing has its default.
+
+        Integers are welcome where floats are meant, and any sequence for a tuple. Raises UsageError if a name is
+        unknown or a value can't be.
+        """
+        for name in values:
+            if name not in specifications():
+                raise UsageError(_unknown(name))
+        converted = {name: _convert(specifications()[name], value) for name, value in values.items()}
+        return cls(**_arguments(cls, "", converted))
+
+    def to_flat(self) -> dict[str, Value]:
+        """Every value by its dotted name, in the order of the table."""
+        return dict(_leaves(self, ""))
+
+
+@cache
+def specifications() -> Mapping[str, Specification]:
+    """The table of parameters by dotted name, in tree order."""
+    return dict(_rows(Parameters, ""))
+
+
+def load(path: str | Path, overrides: Iterable[str] = ()) -> Parameters:
+    """Parameters from a ROS parameter file, then from overrides ``name=value`` in its syntax.
+
+    Text is read as rcl reads it. Sections of other nodes are left alone. Raises UsageError if the file can't be read
+    or holds what can't be meant.
+    """
+    values: dict[str, object] = {}
+    try:
+        values.update(_read_sections(_compose(_read_text(Path(path)))))
+        Parameters.from_flat(values)
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from None
+    for override in overrides:
+        name, value = _read_override(override)
+        values[name] = value
+    return Parameters.from_flat(values)
+
+
+def dump(parameters: Parameters) -> str:
+    """Text of a ROS parameter file that rcl and ``load`` read back to the same bits."""
+    lines = ["/**:", "  ros__parameters:"]
+    groups: list[str] = []
+    for name, value in parameters.to_flat().items():
+        *path, leaf = name.split(".")
+        shared = next((i for i, (a, b) in enumerate(zip(groups, path, strict=False)) if a != b), None)
+        known = min(len(groups), len(path)) if shared is None else shared
+        for depth in range(known, len(path)):
+            lines.append(f"{_indent(depth)}{path[depth]}:")
+        groups = path
+        lines.append(f"{_indent(len(path))}{leaf}: {_text(value)}")
+    return "\n".join(lines) + "\n"
+
+
+def reference() -> str:
+    """The table of parameters as a Markdown page."""
+    lines = [
+        "# Parameters",
+        "",
+        "One tree for the node and all tools, in SI units; see `config/gearbox.yaml` for it as a file. Bounds are",
+        "inclusive unless written with < or >. Generated by `python -m gear_dynamics_ros.parameters`.",
+        "",
+        "| name | type | default | unit | allowed | at run time | meaning |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for row in specifications().values():
+        kind = f"list of {row.element.__name__}" if row.type is tuple else row.type.__name__
+        if row.name == "waveform_channels":
+            default, allowed = "all", "channel names"
+        else:
+            default, allowed = f"`{_text(row.default)}`", row.limits
+        runtime = "yes" if row.runtime else ""
+        lines.append(f"| `{row.name}` | {kind} | {default} | {row.unit} | {allowed} | {runtime} | {row.help} |")
+    return "\n".join(lines) + "\n"
+
+
+# The tree of dataclasses
+
+
+@cache
+def _members(group: type) -> tuple[tuple[str, Specification | type], ...]:
+    """Name of each field, and its row if it is a leaf or its class if it is a group."""
+    hints = get_type_hints(group)
+    return tuple((f.name, f.metadata.get("specification") or hints[f.name]) for f in fields(group))
+
+
+def _rows(group: type, prefix: str) -> Iterator[tuple[str, Specification]]:
+    for name, member in _members(group):
+        if isinstance(member, Specification):
+            yield prefix + name, member._replace(name=prefix + name)
+        else:
+            yield from _rows(member, f"{prefix}{name}.")
+
+
+def _leaves(node: Any, prefix: str) -> Iterator[tuple[str, Value]]:
+    for name, member in _members(type(node)):
+        if isinstance(member, Specification):
+            yield prefix + name, getattr(node, name)
+        else:
+            yield from _leaves(getattr(node, name), f"{prefix}{name}.")
+
+
+def _arguments(group: type, prefix: str, values: Mapping[str, Value]) -> dict[str, Any]:
+    """What ``group`` is built from, as far as ``values`` name it."""
+    arguments: dict[str, Any] = {}
+    for name, member in _members(group):
+        if not isinstance(member, Specification):
+            arguments[name] = member(**_arguments(member, f"{prefix}{name}.", values))
+        elif prefix + name in values:
+            arguments[name] = values[prefix + name]
+    return arguments
+
+
+def _unknown(name: str) -> str:
+    names = specifications()
+    if any(known.startswith(f"{name}.") for known in names):
+        return f"{name} is a group, not a parameter: set what is in it, e.g. " + next(
+            known for known in names if known.startswith(f"{name}.")
+        )
+    close = difflib.get_close_matches(name, names, n=1)
+    leaves = [known for known in names if known.rsplit(".", 1)[-1] == name.rsplit(".", 1)[-1]]
+    hint = (close or leaves or [""])[0]
+    return f"unknown parameter {name}" + (f", did you mean {hint}?" if hint else "; docs/parameters.md lists all")
+
+
+# Single values
+
+_WORDS = {bool: "true or false", int: "an integer", float: "a number", str: "text"}
+
+
+def _convert(row: Specification, value: object) -> Value:
+    """``value`` in the type of the row; raises UsageError where only a change of meaning would do it."""
+    if row.type is not tuple:
+        return _convert_scalar(row, value)
+    if isinstance(value, str | bytes) or not isinstance(value, Sequence) and not hasattr(value, "tolist"):
+        raise UsageError(f"{row.name} = {_show(value)} must be a list, each entry {_WORDS[row.element]}")
+    entries = value if isinstance(value, Sequence) else value.tolist()
+    return tuple(_convert_scalar(row, entry) for entry in entries)
+
+
+def _convert_scalar(row: Specification, value: object) -> Any:
+    if row.element is float and isinstance(value, int) and not isinstance(value, bool):
+        try:
+            return float(value)
+        except OverflowError:
+            raise UsageError(f"{row.name} = {value:.4g} is beyond every float; {_allowed(row)}") from None
+    if type(value) is not row.element:
+        raise UsageError(f"{row.name} = {_show(value)} must be {_WORDS[row.element]}{_type_hint(row, value)}")
+    return value
+
+
+def _type_hint(row: Specification, value: object) -> str:
+    if isinstance(value, list | tuple):
+        return ", not a list"
+    if row.element is str:
+        return ": put it in quotes"
+    if row.element is int and isinstance(value, float) and value.is_integer():
+        return f": write {int(value)}"
+    if isinstance(value, str) and _resolve(value) != value:
+        return ": take it out of its quotes"
+    return ""
+
+
+def _show(value: object) -> str:
+    return f"'{value}'" if isinstance(value, str) else _text(value) if isinstance(value, bool | float) else f"{value}"
+
+
+def _allowed(row: Specification) -> str:
+    return f"it must be {row.limits}{' ' + row.unit if row.unit else ''}"
+
+
+def _check_value(row: Specification, value: Value) -> None:
+    if not isinstance(value, tuple):
+        _check_scalar(row, row.name, value)
+        return
+    fewest, most = row.length or (0, sys.maxsize)
+    if not fewest <= len(value) <= most:
+        raise UsageError(f"{row.name} has {len(value)} entries; it must have {fewest} to {most}")
+    for index, entry in enumerate(value):
+        _check_scalar(row, f"{row.name}[{index}]", entry)
+
+
+def _check_scalar(row: Specification, name: str, value: Value) -> None:
+    if isinstance(value, str):
+        if row.choices and value not in row.choices:
+            close = difflib.get_close_matches(value, row.choices, n=1)
+            hint = f"did you mean {close[0]}? " if close else ""
+            raise UsageError(f"{name} = '{value}': {hint}it must be {row.limits}")
+        if not value.isprintable():
+            raise UsageError(f"{name} = {value!r} holds characters that can't be printed: leave them out")
+        return
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return
+    if not math.isfinite(value) or _outside(row, value):
+        raise UsageError(f"{name} = {_text(value)} is out of range: {_allowed(row)}")
+    if 0.0 < abs(value) < SMALLEST_NORMAL:
+        raise UsageError(f"{name} = {_text(value)} is closer to 0 than {SMALLEST_NORMAL:.4g}: write 0.0")
+
+
+def _outside(row: Specification, value: float) -> bool:
+    low, high = row.minimum, row.maximum
+    below = low is not None and (value <= low if row.exclusive_minimum else value < low)
+    above = high is not None and (value >= high if row.exclusive_maximum else value > high)
+    return below or above
+
+
+# Values that must fit one another
+
+
+def _check(parameters: Parameters) -> None:
+    for name, value in _leaves(parameters, ""):
+        row = specifications()[name]
+        _check_value(row, _convert(row, value))
+    _check_bearings(parameters.bearings)
+    _check_mesh(parameters.mesh)
+    _check_surface(parameters)
+    _check_operation(parameters)
+    _check_solver(parameters.solver)
+    _check_outputs(parameters)
+
+
+def _check_bearings(bearings: Bearings) -> None:
+    for side, bearing in (("driving", bearings.driving), ("driven", bearings.driven)):
+        if bearing.oil_clearance <= bearing.clearance:
+            raise UsageError(
+                f"bearings.{side}.oil_clearance = {_text(bearing.oil_clearance)} m must be larger than "
+                f"bearings.{side}.clearance = {_text(bearing.clearance)} m: contact begins inside the oil film"
+            )
+
+
+def _check_mesh(mesh: Mesh) -> None:
+    swing = sum(math.hypot(a, b) for a, b in zip_longest(mesh.stiffness_cos, mesh.stiffness_sin, fillvalue=0.0))
+    if swing >= 1.0:
+        raise UsageError(
+            f"mesh.stiffness_cos and mesh.stiffness_sin have amplitudes that sum up to {swing:.6g}; it must be "
+            "< 1 for the stiffness to stay positive: lower them"
+        )
+
+
+def _check_surface(parameters: Parameters) -> None:
+    surface, gears = parameters.surface, parameters.gears
+    for side, gear in (("driving", gears.driving), ("driven", gears.driven)):
+        highest = gear.teeth * surface.scale ** (surface.waves - 1)
+        if highest > LARGEST_ORDER:
+            raise UsageError(
+                f"surface.waves = {surface.waves} with surface.scale = {_text(surface.scale)} and "
+                f"gears.{side}.teeth = {gear.teeth} puts {highest:.3g} waves on a revolution; the limit is "
+                f"{LARGEST_ORDER}: lower one of them"
+            )
+
+
+def _check_operation(parameters: Parameters) -> None:
+    operation = parameters.operation
+    if abs(operation.speed) > operation.speed_limit:
+        raise UsageError(
+            f"operation.speed = {_text(operation.speed)} rad/s is beyond operation.speed_limit = "
+            f"{_text(operation.speed_limit)} rad/s: lower the one or raise the other"
+        )
+    if operation.initial == "rest" and parameters.mesh_phase == "nominal":
+        raise UsageError(
+            "operation.initial = 'rest' can't be with mesh_phase = 'nominal', whose phase runs at the set-point: "
+            "take 'touching' or 'actual'"
+        )
+
+
+def _check_solver(solver: Solver) -> None:
+    interval = _decimal(solver.sample_interval)
+    _check_multiple("solver.sample_interval", solver.sample_interval, Fraction(1, NANOSECONDS), "nanoseconds")
+    _check_multiple(
+        "solver.sample_interval", solver.sample_interval, _decimal(solver.step), f"steps of {_text(solver.step)} s"
+    )
+    _check_multiple("solver.chunk", solver.chunk, interval, f"samples of {_text(solver.sample_interval)} s")
+    if solver.samples_per_chunk > MOST_SAMPLES_PER_CHUNK:
+        raise UsageError(
+            f"solver.chunk = {_text(solver.chunk)} s holds {solver.samples_per_chunk} samples; the limit is "
+            f"{MOST_SAMPLES_PER_CHUNK}: shorten it or lengthen solver.sample_interval"
+        )
+
+
+def _check_multiple(name: str, value: float, unit: Fraction, units: str) -> None:
+    ratio = _decimal(value) / unit
+    if ratio.denominator != 1:
+        below = max(1, math.floor(ratio))
+        nearest = " or ".join(_text(float(count * unit)) for count in (below, below + 1))
+        raise UsageError(
+            f"{name} = {_text(value)} s is {float(ratio):.9g} {units}; it must be a whole number: take {nearest} s"
+        )
+
+
+def _check_outputs(parameters: Parameters) -> None:
+    channels = parameters.waveform_channels
+    if channels[0] != "time":
+        raise UsageError(f"waveform_channels starts with '{channels[0]}': it must start with time")
+    for name in channels:
+        if channels.count(name) > 1:
+            raise UsageError(f"waveform_channels names '{name}' {channels.count(name)} times: name it once")
+    rerun = parameters.rerun
+    if rerun.mode == "save" and not rerun.path:
+        raise UsageError("rerun.path is empty but rerun.mode = 'save' needs a file: name one")
+    if rerun.mode == "connect" and not rerun.url.startswith("rerun"):
+        raise UsageError(
+            f"rerun.url = '{rerun.url}' must be a Rerun address such as {specifications()['rerun.url'].default}"
+        )
+
+
+def _decimal(value: float) -> Fraction:
+    """The shortest decimal that reads as ``value``: what its author wrote."""
+    return Fraction(repr(value))
+
+
+def _whole(value: float, unit: Fraction) -> int:
+    return int(_decimal(value) / unit)
+
+
+# YAML as rcl_yaml_param_parser reads it
+
+_TRUE = frozenset("Y y yes Yes YES true True TRUE on On ON".split())
+_FALSE = frozenset("N n no No NO false False FALSE off Off OFF".split())
+_INTEGER = re.compile(r"\s*[+-]?(0[xX][0-9a-fA-F]+|[0-9]+)")
+_DECIMAL = re.compile(r"\s*[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+_HEXADECIMAL = re.compile(r"\s*[+-]?0[xX]([0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)([pP][+-]?[0-9]+)?")
+_SPECIAL = re.compile(r"[+-]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)|\s*[+-]?(inf|infinity|nan)", re.IGNORECASE)
+_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+def _resolve(text: str) -> bool | int | float | str:
+    """A plain scalar as rcl takes it: its list of booleans, then C's strtol of any base, then strtod, else text."""
+    if text in _TRUE or text in _FALSE:
+        return text in _TRUE
+    if _INTEGER.fullmatch(text):
+        integer = _integer(text)
+        if integer is not None:
+            return integer
+    number = _float(text)
+    return text if number is None else number
+
+
+def _integer(text: str) -> int | None:
+    """strtol with base 0; None if it stops early (09) or overflows, which leaves the text to strtod."""
+    digits = text.strip().lstrip("+-")
+    base = 16 if digits[:2] in ("0x", "0X") else 8 if digits.startswith("0") else 10
+    try:
+        value = int(digits, base) if base != 8 else int("0" + digits, 8)
+    except ValueError:
+        return None
+    value = -value if text.strip().startswith("-") else value
+    return value if -(2**63) <= value < 2**63 else None
+
+
+def _float(text: str) -> float | None:
+    """strtod; None if it does not take the whole text, overflows or underflows, which leave a string."""
+    if _SPECIAL.fullmatch(text):
+        return float(text.replace(".", "", 1))
+    try:
+        if _DECIMAL.fullmatch(text):
+            value, digits = float(text), re.split("[eE]", text)[0]
+        elif _HEXADECIMAL.fullmatch(text):
+            value, digits = float.fromhex(text), re.split("[pP]", text)[0][2:]
+        else:
+            return None
+    except OverflowError:
+        return None
+    lost = math.isinf(value) or (abs(value) < SMALLEST_NORMAL and re.search("[1-9a-fA-F]", digits) is not None)
+    return None if lost else value
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML nodes without aliases, which rcl refuses."""
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            event = self.peek_event()
+            raise UsageError(f"line {event.start_mark.line + 1}: ROS takes no YAML aliases (*{event.anchor})")
+        return super().compose_node(parent, index)
+
+
+def _compose(text: str) -> yaml.Node:
+    try:
+        loader = _Loader(text)
+        try:
+            node = loader.get_single_node()
+        finally:
+            loader.dispose()
+    except yaml.MarkedYAMLError as error:
+        line = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
+        raise UsageError(f"{line}no valid YAML: {error.problem}") from None
+    except yaml.YAMLError as error:
+        raise UsageError("no valid YAML: " + " ".join(str(error).split())) from None
+    if node is None:
+        raise UsageError("it is empty")
+    return node
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"can't be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise UsageError(f"is no UTF-8 text: {error.reason} at byte {error.start}") from None
+
+
+def _line(node: yaml.Node) -> str:
+    return f"line {node.start_mark.line + 1}"
+
+
+def _entries(node: yaml.Node, what: str) -> dict[str, yaml.Node]:
+    if not isinstance(node, yaml.MappingNode):
+        raise UsageError(f"{_line(node)}: {what} must be a mapping of names to values")
+    entries: dict[str, yaml.Node] = {}
+    for key, value in node.value:
+        if not isinstance(key, yaml.ScalarNode):
+            raise UsageError(f"{_line(key)}: a name must be text")
+        if key.value in entries:
+            raise UsageError(f"{_line(key)}: {key.value} stands twice in {what}: leave one")
+        entries[key.value] = value
+    return entries
+
+
+def _read_sections(document: yaml.Node) -> dict[str, object]:
+    sections = _entries(document, "the file")
+    present = [name for name in SECTIONS if name in sections]
+    if not present:
+        raise UsageError(f"none of the sections {', '.join(SECTIONS)} is in it: put ros__parameters under one")
+    values: dict[str, object] = {}
+    for name in present:
+        section = _entries(sections[name], name)
+        if list(section) != ["ros__parameters"]:
+            raise UsageError(f"{_line(sections[name])}: {name} must hold ros__parameters and nothing else")
+        values.update(_flatten(section["ros__parameters"], f"ros__parameters of {name}"))
+    return values
+
+
+def _flatten(node: yaml.Node, what: str, prefix: str = "") -> dict[str, object]:
+    values: dict[str, object] = {}
+    for key, child in _entries(node, what).items():
+        name = prefix + key
+        if isinstance(child, yaml.MappingNode):
+            found = _flatten(child, name, f"{name}.")
+        else:
+            found = {name: _value(child, name)}
+        for twice in values.keys() & found.keys():
+            raise UsageError(f"{_line(child)}: {twice} stands twice in {what}: leave one")
+        values.update(found)
+    return values
+
+
+def _value(node: yaml.Node, name: str) -> object:
+    if isinstance(node, yaml.ScalarNode):
+        return _scalar(node, name)
+    if not isinstance(node, yaml.SequenceNode) or any(not isinstance(n, yaml.ScalarNode) for n in node.value):
+        raise UsageError(f"{_line(node)}: {name} must be a single value or a list of them")
+    entries = [_scalar(entry, name) for entry in node.value]
+    if len({type(entry) for entry in entries}) > 1:
+        raise UsageError(
+            f"{_line(node)}: {name} mixes types, which ROS refuses: write every number with a decimal point"
+        )
+    return entries
+
+
+def _scalar(node: yaml.ScalarNode, name: str) -> bool | int | float | str:
+    text = str(node.value)
+    if node.style in ("'", '"'):
+        return text
+    if not text:
+        raise UsageError(f"{_line(node)}: {name} has no value: give one, '' for empty text")
+    return _resolve(text)
+
+
+def _read_override(override: str) -> tuple[str, object]:
+    name, separator, text = override.partition("=")
+    if not separator or not name:
+        raise UsageError(f"'{override}' is no setting: write name=value")
+    if not text.strip():
+        raise UsageError(f"{name} has no value: write {name}=VALUE, {name}='\"\"' for empty text")
+    if name not in specifications():
+        raise UsageError(_unknown(name))
+    try:
+        return name, _value(_compose(text), name)
+    except UsageError as error:
+        raise UsageError(f"'{override}': {error}") from None
+
+
+def _indent(depth: int) -> str:
+    return "  " * (depth + 2)
+
+
+def _text(value: object) -> str:
+    """A value in YAML that rcl, ``load`` and plain YAML 1.1 readers take for the same."""
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_text(entry) for entry in value) + "]"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        return _float_text(value)
+    if isinstance(value, str):
+        plain = _WORD.fullmatch(value) and _resolve(value) == value and value not in ("null", "Null", "NULL")
+        return value if plain else json.dumps(value, ensure_ascii=False)
+    return str(value)
+
+
+def _float_text(value: float) -> str:
+    if not math.isfinite(value):
+        return ".nan" if math.isnan(value) else ".inf" if value > 0.0 else "-.inf"
+    digits, exponent, power = repr(value).partition("e")
+    return digits + ("" if "." in digits else ".0") + exponent + power
+
+
+if __name__ == "__main__":
+    sys.stdout.write(reference())
