@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.parameters import Bearing, Parameters
 from gear_dynamics_ros.physics import kernel
 from gear_dynamics_ros.physics.restitution import damping_factor
 from gear_dynamics_ros.physics.surface import Surface, fractal_surface
@@ -17,14 +17,13 @@ from gear_dynamics_ros.physics.surface import Surface, fractal_surface
 class Excitations(NamedTuple):
     """Every periodic excitation as one trigonometric series over the hunting cycle.
 
-    ``orders`` (n,) waves per cycle; ``cosines`` and ``sines`` (n, EXCITATIONS): amplitudes of surface height z1 + z2,
+    ``orders`` (n,) waves per cycle; ``amplitudes`` (2, n, EXCITATIONS), of cosines and of sines: surface height z1 + z2,
     its first and second derivative by the mesh phase, stiffness modulation and slope, static error with two
     derivatives; m and rad, stiffness dimensionless. n is a whole number of vector blocks.
     """
 
     orders: NDArray[np.float64]
-    cosines: NDArray[np.float64]
-    sines: NDArray[np.float64]
+    amplitudes: NDArray[np.float64]
 
 
 def base_radii(parameters: Parameters) -> tuple[float, float]:
@@ -118,15 +117,16 @@ def excitations(parameters: Parameters) -> Excitations:
     amplitudes = np.zeros((2, count, kernel.EXCITATIONS))
     for index, order in enumerate(orders):
         amplitudes[:, index] = rows[order]
-    return Excitations(padded, amplitudes[0], amplitudes[1])
+    return Excitations(padded, amplitudes)
 
 
-def constants(parameters: Parameters) -> kernel.Constants:
+def constants(parameters: Parameters) -> np.record:
     """The kernel's constants; every derived number of the model is computed here."""
     gears, mesh, operation = parameters.gears, parameters.mesh, parameters.operation
     r1, r2 = base_radii(parameters)
     tan_alpha0 = math.tan(gears.pressure_angle)
-    return kernel.Constants(
+    both = (parameters.bearings.driving, parameters.bearings.driven)
+    values = dict(
         kelvin=parameters.model == "traditional",
         film=parameters.model == "improved",
         exact_geometry=parameters.mesh_geometry == "exact",
@@ -149,9 +149,14 @@ def constants(parameters: Parameters) -> kernel.Constants:
         inertia1=gears.driving.inertia,
         inertia2=gears.driven.inertia,
         teeth1=float(gears.driving.teeth),
-        hunting=float(hunting_turns(parameters)),
-        bearing1=bearing_constants(parameters, "driving"),
-        bearing2=bearing_constants(parameters, "driven"),
+        hunting=hunting_turns(parameters),
+        clearance=[bearing.clearance for bearing in both],
+        kelvin_stiffness=[bearing.kelvin_stiffness for bearing in both],
+        kelvin_damping=[bearing.kelvin_damping for bearing in both],
+        hertz=[hertz_factor(parameters, bearing.length) for bearing in both],
+        damping_factor=[damping_factor(bearing.restitution, parameters.restitution_law) for bearing in both],
+        oil_clearance=[bearing.oil_clearance for bearing in both],
+        film_factor=[film_factor(parameters, bearing) for bearing in both],
         minimum_impact_speed=parameters.bearings.minimum_impact_speed,
         eccentricity_limit2=parameters.oil.eccentricity_limit**2,
         load_viscous=operation.load_viscous,
@@ -162,20 +167,20 @@ def constants(parameters: Parameters) -> kernel.Constants:
         step=parameters.solver.step,
         steps_per_sample=parameters.solver.steps_per_sample,
     )
+    record = np.zeros(1, dtype=kernel.CONSTANTS).view(np.recarray)
+    for name in kernel.CONSTANTS.names or ():
+        record[name] = values[name]
+    return record[0]
 
 
-def bearing_constants(parameters: Parameters, side: str) -> kernel.BearingConstants:
-    """Constants of the bearing of one ``side``, driving or driven. (2), (3), (15)."""
-    bearing, shaft, sleeve = getattr(parameters.bearings, side), parameters.bearings.shaft, parameters.bearings.sleeve
-    compliance = (1.0 - shaft.poissons_ratio**2) / shaft.youngs_modulus + (
-        1.0 - sleeve.poissons_ratio**2
-    ) / sleeve.youngs_modulus
-    return kernel.BearingConstants(
-        clearance=bearing.clearance,
-        kelvin_stiffness=bearing.kelvin_stiffness,
-        kelvin_damping=bearing.kelvin_damping,
-        hertz=0.5 * math.pi * bearing.length / compliance * math.sqrt(0.5),
-        damping_factor=damping_factor(bearing.restitution, parameters.restitution_law),
-        oil_clearance=bearing.oil_clearance,
-        film=parameters.oil.viscosity * 0.5 * bearing.diameter * bearing.length**3 / (4.0 * bearing.oil_clearance**2),
-    )
+def hertz_factor(parameters: Parameters, length: float) -> float:
+    """k_h sqrt(b_b + delta) of (2) for a bearing of ``length`` in m; N/m."""
+    shaft, sleeve = parameters.bearings.shaft, parameters.bearings.sleeve
+    compliance = (1.0 - shaft.poissons_ratio**2) / shaft.youngs_modulus
+    compliance += (1.0 - sleeve.poissons_ratio**2) / sleeve.youngs_modulus
+    return 0.5 * math.pi * length / compliance * math.sqrt(0.5)
+
+
+def film_factor(parameters: Parameters, bearing: Bearing) -> float:
+    """mu (D/2) L^3 / (4 C^2) of (14), (15) in N s."""
+    return parameters.oil.viscosity * 0.5 * bearing.diameter * bearing.length**3 / (4.0 * bearing.oil_clearance**2)

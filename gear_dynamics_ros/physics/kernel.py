@@ -9,8 +9,6 @@ raises. Arrays passed around: ``y`` the state (STATE_SIZE), ``flags`` the discre
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
 
@@ -71,72 +69,70 @@ SEARCH_LIMIT = 30
 STOPS_PER_STEP = 24
 SHORTEST_SUBSTEP = 1e-9  # of the step
 
+# Rows of states, points and excitations: where the step starts, ends, its stages, the lower end of a search.
+HERE, END, MIDDLE, LATE, LOW = range(5)
+ROWS = 5
+
 RUNNING, OVER_SPEED, NON_FINITE, CENTRES_PRESSED = range(4)
 
 
-class BearingConstants(NamedTuple):
-    """One gear's bearing."""
-
-    clearance: float  # b_b, m
-    kelvin_stiffness: float  # N/m
-    kelvin_damping: float  # N s/m
-    hertz: float  # k_h sqrt(b_b + delta) of (2), N/m
-    damping_factor: float  # a
-    oil_clearance: float  # C, m
-    film: float  # mu (D/2) L^3 / (4 C^2), N s
-
-
-class Constants(NamedTuple):
-    """What the kernel needs of the parameters, computed once."""
-
-    kelvin: bool
-    film: bool
-    exact_geometry: bool
-    contact_damping: bool
-    nominal_phase: bool
-    brake: bool
-    governed: bool
-    centre_distance: float  # a_s
-    base_radius1: float
-    base_radius2: float
-    tan2_alpha0: float
-    involute_alpha0: float
-    involute_series: tuple[float, ...]  # inv alpha - inv alpha0 in powers of xi
-    half_backlash: float  # b0
-    stiffness: float  # k_m
-    damping: float  # c1
-    error_mean: float  # e_m
-    mass1: float
-    mass2: float
-    inertia1: float
-    inertia2: float
-    teeth1: float
-    hunting: float  # turns of gear 1 after which both gears meet again
-    bearing1: BearingConstants
-    bearing2: BearingConstants
-    minimum_impact_speed: float
-    eccentricity_limit2: float  # squared
-    load_viscous: float
-    governor_proportional: float
-    governor_integral: float
-    governor_limit: float
-    speed_limit: float
-    step: float
-    steps_per_sample: int
+CONSTANTS = np.dtype(
+    [
+        ("kelvin", np.int64),
+        ("film", np.int64),
+        ("exact_geometry", np.int64),
+        ("contact_damping", np.int64),
+        ("nominal_phase", np.int64),
+        ("brake", np.int64),
+        ("governed", np.int64),
+        ("hunting", np.int64),  # turns of gear 1 after which the same teeth meet again
+        ("steps_per_sample", np.int64),
+        ("centre_distance", np.float64),  # a_s, m
+        ("base_radius1", np.float64),  # m
+        ("base_radius2", np.float64),
+        ("tan2_alpha0", np.float64),
+        ("involute_alpha0", np.float64),
+        ("involute_series", np.float64, SERIES_TERMS),  # inv alpha - inv alpha0 in powers of xi
+        ("half_backlash", np.float64),  # b0, m
+        ("stiffness", np.float64),  # k_m, N/m
+        ("damping", np.float64),  # c1, N s/m
+        ("error_mean", np.float64),  # e_m, m
+        ("mass1", np.float64),  # kg
+        ("mass2", np.float64),
+        ("inertia1", np.float64),  # kg m^2
+        ("inertia2", np.float64),
+        ("teeth1", np.float64),
+        ("clearance", np.float64, 2),  # b_b, m, of each bearing as all that follow
+        ("kelvin_stiffness", np.float64, 2),  # N/m
+        ("kelvin_damping", np.float64, 2),  # N s/m
+        ("hertz", np.float64, 2),  # k_h sqrt(b_b + delta) of (2), N/m
+        ("damping_factor", np.float64, 2),  # a
+        ("oil_clearance", np.float64, 2),  # C, m
+        ("film_factor", np.float64, 2),  # mu (D/2) L^3 / (4 C^2), N s
+        ("minimum_impact_speed", np.float64),  # m/s
+        ("eccentricity_limit2", np.float64),  # squared
+        ("load_viscous", np.float64),  # N m s
+        ("governor_proportional", np.float64),  # N m s
+        ("governor_integral", np.float64),  # N m
+        ("governor_limit", np.float64),  # N m
+        ("speed_limit", np.float64),  # rad/s
+        ("step", np.float64),  # s
+    ],
+    align=True,
+)
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def excite(turn, orders, cosines, sines, waves, values):
-    """Sum of all periodic excitations at ``turn``, the fraction of the hunting cycle, into ``values``.
+def excite(turn, waves, amplitudes, excs, e_row):
+    """Sum of all periodic excitations at ``turn``, the fraction of the hunting cycle, into row ``e_row``.
 
-    ``orders`` (n,) waves per cycle; ``cosines``, ``sines`` (n, EXCITATIONS) amplitudes; ``waves`` (2, n) scratch.
+    ``waves`` (3, n): orders per cycle, then room for cosine and sine; ``amplitudes`` (2, n, EXCITATIONS).
     Sine and cosine come from Taylor polynomials of the half angle, |x| <= pi/2, exact to rounding, in a loop
     without branches that the compiler turns into vectors.
     """
-    n = orders.shape[0]
-    cosine, sine = waves[0], waves[1]
+    n = waves.shape[1]
     for j in range(n):
-        r = orders[j] * turn
+        r = waves[0, j] * turn
         r -= (r + 6755399441055744.0) - 6755399441055744.0
         x = math.pi * r
         x2 = x * x
@@ -162,13 +158,27 @@ def excite(turn, orders, cosines, sines, waves, values):
         c = c * x2 + 1.0 / 24.0
         c = c * x2 - 0.5
         c = c * x2 + 1.0
-        sine[j] = 2.0 * s * c
-        cosine[j] = 1.0 - 2.0 * s * s
-    for i in range(EXCITATIONS):
-        values[i] = 0.0
+        waves[2, j] = 2.0 * s * c
+        waves[1, j] = 1.0 - 2.0 * s * s
+    v0 = v1 = v2 = v3 = v4 = v5 = v6 = v7 = 0.0
     for j in range(n):
-        for i in range(EXCITATIONS):
-            values[i] += cosine[j] * cosines[j, i] + sine[j] * sines[j, i]
+        c, s = waves[1, j], waves[2, j]
+        v0 += c * amplitudes[0, j, 0] + s * amplitudes[1, j, 0]
+        v1 += c * amplitudes[0, j, 1] + s * amplitudes[1, j, 1]
+        v2 += c * amplitudes[0, j, 2] + s * amplitudes[1, j, 2]
+        v3 += c * amplitudes[0, j, 3] + s * amplitudes[1, j, 3]
+        v4 += c * amplitudes[0, j, 4] + s * amplitudes[1, j, 4]
+        v5 += c * amplitudes[0, j, 5] + s * amplitudes[1, j, 5]
+        v6 += c * amplitudes[0, j, 6] + s * amplitudes[1, j, 6]
+        v7 += c * amplitudes[0, j, 7] + s * amplitudes[1, j, 7]
+    excs[e_row, 0] = v0
+    excs[e_row, 1] = v1
+    excs[e_row, 2] = v2
+    excs[e_row, 3] = v3
+    excs[e_row, 4] = v4
+    excs[e_row, 5] = v5
+    excs[e_row, 6] = v6
+    excs[e_row, 7] = v7
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
@@ -199,13 +209,13 @@ def film_force(coefficient, w, ex, ey, ux, uy):
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def evaluate_bearing(constants, bearing, gear, w, x, y, vx, vy, latched, flags, point):
-    """Contact (2)-(6) and film of one bearing into ``point``; returns the total force on the gear in N."""
+def evaluate_bearing(constants, gear, w, x, y, vx, vy, latched, flags, points, p):
+    """Contact (2)-(6) and film of one bearing into row ``p`` of ``points``; returns the total force on the gear in N."""
     d = math.sqrt(x * x + y * y)
     nx, ny = 1.0, 0.0
     if d > 0.0:
         nx, ny = x / d, y / d
-    delta = d - bearing.clearance
+    delta = d - constants.clearance[gear]
     closing = vx * nx + vy * ny
     force = 0.0
     gap_sign = -1.0
@@ -213,25 +223,25 @@ def evaluate_bearing(constants, bearing, gear, w, x, y, vx, vy, latched, flags, 
     if flags[CONTACT + gear] == 1:
         gap_sign = 1.0
         if constants.kelvin:
-            clamp_value = bearing.kelvin_stiffness * delta + bearing.kelvin_damping * closing
+            clamp_value = constants.kelvin_stiffness[gear] * delta + constants.kelvin_damping[gear] * closing
             force = clamp_value
         else:
             depth = max(delta, 0.0)
-            clamp_value = 1.0 + bearing.damping_factor * closing / latched
-            force = bearing.hertz / math.sqrt(d) * depth * math.sqrt(depth) * clamp_value
+            clamp_value = 1.0 + constants.damping_factor[gear] * closing / latched
+            force = constants.hertz[gear] / math.sqrt(d) * depth * math.sqrt(depth) * clamp_value
         if flags[CLAMPED + gear] == 1:
             force = 0.0
             clamp_value = -clamp_value
     fx, fy = -force * nx, -force * ny
-    point[PENETRATION + gear] = delta
-    point[CLOSING + gear] = closing
-    point[CONTACT_X + gear] = fx
-    point[CONTACT_Y + gear] = fy
-    point[VALUE + BEARING_GAP + gear] = gap_sign * delta
-    point[RATE + BEARING_GAP + gear] = gap_sign * closing
-    point[VALUE + BEARING_CLAMP + gear] = clamp_value
+    points[p, PENETRATION + gear] = delta
+    points[p, CLOSING + gear] = closing
+    points[p, CONTACT_X + gear] = fx
+    points[p, CONTACT_Y + gear] = fy
+    points[p, VALUE + BEARING_GAP + gear] = gap_sign * delta
+    points[p, RATE + BEARING_GAP + gear] = gap_sign * closing
+    points[p, VALUE + BEARING_CLAMP + gear] = clamp_value
     if constants.film:
-        c = bearing.oil_clearance
+        c = constants.oil_clearance[gear]
         eps2 = d * d / (c * c)
         margin, margin_rate = constants.eccentricity_limit2 - eps2, -2.0 * d * closing / (c * c)
         # Before the event is located a trial step may overshoot the limit, yet never the wall.
@@ -244,37 +254,37 @@ def evaluate_bearing(constants, bearing, gear, w, x, y, vx, vy, latched, flags, 
         if starved or eps2 > bound2:
             scale = math.sqrt(bound2 / eps2)
             ex, ey = ex * scale, ey * scale
-        film_x, film_y = film_force(bearing.film, w, ex, ey, vx / c, vy / c)
-        point[FILM_X + gear] = film_x
-        point[FILM_Y + gear] = film_y
-        point[VALUE + FILM_LIMIT + gear] = margin
-        point[RATE + FILM_LIMIT + gear] = margin_rate
+        film_x, film_y = film_force(constants.film_factor[gear], w, ex, ey, vx / c, vy / c)
+        points[p, FILM_X + gear] = film_x
+        points[p, FILM_Y + gear] = film_y
+        points[p, VALUE + FILM_LIMIT + gear] = margin
+        points[p, RATE + FILM_LIMIT + gear] = margin_rate
         fx += film_x
         fy += film_y
     return fx, fy
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def evaluate(constants, speed, load, y, flags, exc, lag, point):
-    """Right-hand side at state ``y`` with ``flags`` frozen, and the events' values, into ``point``.
+def evaluate(constants, speed, load, states, s, flags, excs, e_row, lag, points, p):
+    """Right-hand side at row ``s`` of ``states`` with ``flags`` frozen, and the events' values, into row ``p``.
 
-    ``speed`` set-point in rad/s and ``load`` commanded load torque in N m; ``exc`` (EXCITATIONS,) excitations at
-    a phase that ``y`` is ahead of by ``lag`` rad of mesh phase. (21)-(32).
+    ``speed`` set-point in rad/s and ``load`` commanded load torque in N m; row ``e_row`` of ``excs`` holds the
+    excitations at a phase that the state is ahead of by ``lag`` rad of mesh phase. (21)-(32).
     """
-    x1, y1, x2, y2 = y[X1], y[Y1], y[X2], y[Y2]
-    vx1, vy1, vx2, vy2 = y[VX1], y[VY1], y[VX2], y[VY2]
-    omega1, omega2 = y[OMEGA1], y[OMEGA2]
+    x1, y1, x2, y2 = states[s, X1], states[s, Y1], states[s, X2], states[s, Y2]
+    vx1, vy1, vx2, vy2 = states[s, VX1], states[s, VY1], states[s, VX2], states[s, VY2]
+    omega1, omega2 = states[s, OMEGA1], states[s, OMEGA2]
     rb1, rb2 = constants.base_radius1, constants.base_radius2
     r_sum = rb1 + rb2
 
     phase_speed = speed if constants.nominal_phase else omega1
     phi_rate = constants.teeth1 * phase_speed
     half = 0.5 * lag
-    z = exc[SURFACE] + lag * (exc[SURFACE_SLOPE] + half * exc[SURFACE_CURVATURE])
-    z_rate = phi_rate * (exc[SURFACE_SLOPE] + lag * exc[SURFACE_CURVATURE])
-    k1 = constants.stiffness * (1.0 + exc[STIFFNESS] + lag * exc[STIFFNESS_SLOPE])
-    e = constants.error_mean + exc[ERROR] + lag * (exc[ERROR_SLOPE] + half * exc[ERROR_CURVATURE])
-    e_rate = phi_rate * (exc[ERROR_SLOPE] + lag * exc[ERROR_CURVATURE])
+    z = excs[e_row, SURFACE] + lag * (excs[e_row, SURFACE_SLOPE] + half * excs[e_row, SURFACE_CURVATURE])
+    z_rate = phi_rate * (excs[e_row, SURFACE_SLOPE] + lag * excs[e_row, SURFACE_CURVATURE])
+    k1 = constants.stiffness * (1.0 + excs[e_row, STIFFNESS] + lag * excs[e_row, STIFFNESS_SLOPE])
+    e = constants.error_mean + excs[e_row, ERROR] + lag * (excs[e_row, ERROR_SLOPE] + half * excs[e_row, ERROR_CURVATURE])
+    e_rate = phi_rate * (excs[e_row, ERROR_SLOPE] + lag * excs[e_row, ERROR_CURVATURE])
 
     ux, uy = x2 - x1, y2 - y1
     wx, wy = vx2 - vx1, vy2 - vy1
@@ -310,11 +320,11 @@ def evaluate(constants, speed, load, y, flags, exc, lag, point):
 
     u_rate = rb1 * omega1 - rb2 * omega2
     if constants.exact_geometry:
-        q = y[U] - r_sum * beta - e
+        q = states[s, U] - r_sum * beta - e
         q_rate = u_rate - r_sum * beta_rate - e_rate
     else:
         gamma_rate = a_rate_over_a / tan_alpha - beta_rate
-        q = y[U] - ux * sin_gamma - uy * cos_gamma - e
+        q = states[s, U] - ux * sin_gamma - uy * cos_gamma - e
         q_rate = (
             u_rate - wx * sin_gamma - wy * cos_gamma - gamma_rate * (ux * cos_gamma - uy * sin_gamma) - e_rate
         )
@@ -350,34 +360,34 @@ def evaluate(constants, speed, load, y, flags, exc, lag, point):
     if constants.nominal_phase:
         w1, w2 = speed, -speed * rb1 / rb2
     f1x, f1y = evaluate_bearing(
-        constants, constants.bearing1, 0, w1, x1, y1, vx1, vy1, y[IMPACT_SPEED], flags, point
+        constants, 0, w1, x1, y1, vx1, vy1, states[s, IMPACT_SPEED], flags, points, p
     )
     f2x, f2y = evaluate_bearing(
-        constants, constants.bearing2, 1, w2, x2, y2, vx2, vy2, y[IMPACT_SPEED + 1], flags, point
+        constants, 1, w2, x2, y2, vx2, vy2, states[s, IMPACT_SPEED + 1], flags, points, p
     )
     load_torque = load
     if constants.brake:
         load_torque = load * math.tanh(omega2)
     load_torque += constants.load_viscous * omega2
 
-    point[AX1] = (f1x - force * along_x) / constants.mass1
-    point[AY1] = (f1y - force * along_y) / constants.mass1
-    point[AX2] = (f2x + force * along_x) / constants.mass2
-    point[AY2] = (f2y + force * along_y) / constants.mass2
-    point[ALPHA1] = (y[DRIVE_TORQUE] - force * rb1) / constants.inertia1
-    point[ALPHA2] = (force * rb2 - load_torque) / constants.inertia2
-    point[VALUE + UPPER_GAP] = upper
-    point[RATE + UPPER_GAP] = upper_rate
-    point[VALUE + LOWER_GAP] = lower
-    point[RATE + LOWER_GAP] = lower_rate
-    point[VALUE + MESH_CLAMP] = clamp_value
-    point[Q] = q
-    point[Q_RATE] = q_rate
-    point[MESH_FORCE] = force
-    point[TAN_ALPHA] = tan_alpha
-    point[HALF_BACKLASH] = b1
-    point[BACKLASH_RATE] = b1_rate
-    point[LOAD] = load_torque
+    points[p, AX1] = (f1x - force * along_x) / constants.mass1
+    points[p, AY1] = (f1y - force * along_y) / constants.mass1
+    points[p, AX2] = (f2x + force * along_x) / constants.mass2
+    points[p, AY2] = (f2y + force * along_y) / constants.mass2
+    points[p, ALPHA1] = (states[s, DRIVE_TORQUE] - force * rb1) / constants.inertia1
+    points[p, ALPHA2] = (force * rb2 - load_torque) / constants.inertia2
+    points[p, VALUE + UPPER_GAP] = upper
+    points[p, RATE + UPPER_GAP] = upper_rate
+    points[p, VALUE + LOWER_GAP] = lower
+    points[p, RATE + LOWER_GAP] = lower_rate
+    points[p, VALUE + MESH_CLAMP] = clamp_value
+    points[p, Q] = q
+    points[p, Q_RATE] = q_rate
+    points[p, MESH_FORCE] = force
+    points[p, TAN_ALPHA] = tan_alpha
+    points[p, HALF_BACKLASH] = b1
+    points[p, BACKLASH_RATE] = b1_rate
+    points[p, LOAD] = load_torque
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
@@ -387,84 +397,81 @@ def phase_turn(constants, turns, turn):
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def try_step(constants, commands, table, work, y, flags, phase, start, exc_start, lag_start, h, end, exc_end):
-    """Classic RK4 over ``h`` with frozen flags, in Nystrom's form: from ``y`` and its point ``start``.
+def try_step(constants, speed, load, waves, amplitudes, states, flags, phase, points, excs, h):
+    """Classic RK4 over ``h`` from HERE to END with frozen flags, in Nystrom's form.
 
-    ``phase`` is the nominal turn at ``y``. Fills ``work.y_end``, ``end`` and ``exc_end`` (the excitations at the
-    phase of stage 4) and returns the lag of the end state behind them in rad of mesh phase. The excitations are
-    summed at two phases a step; the stages between differ from those by the square of the step and take them
-    by Taylor's series.
+    ``phase`` is the nominal turn at HERE. Fills row END of states, points and excitations and returns the lag of
+    the end state behind those excitations, in rad of mesh phase. They are summed at two phases a step; the other
+    stages lie within the square of the step of these and take them by Taylor's series.
     """
-    speed, load = commands
-    orders, cosines, sines, waves = table
-    stage, exc_mid, middle, late = work
     turns = flags[TURN]
     half = 0.5 * h
     rb1, rb2 = constants.base_radius1, constants.base_radius2
     nominal = constants.nominal_phase
 
     # Stage 2
-    for i in range(STATE_SIZE):
-        stage[i] = y[i]
-    u_rate1 = rb1 * y[OMEGA1] - rb2 * y[OMEGA2]
+    # Latched impact speeds change at HERE only, between trials.
+    states[END, IMPACT_SPEED] = states[HERE, IMPACT_SPEED]
+    states[END, IMPACT_SPEED + 1] = states[HERE, IMPACT_SPEED + 1]
+    u_rate1 = rb1 * states[HERE, OMEGA1] - rb2 * states[HERE, OMEGA2]
     for i in range(4):
-        stage[X1 + i] = y[X1 + i] + half * y[VX1 + i]
-        stage[VX1 + i] = y[VX1 + i] + half * start[AX1 + i]
-    stage[U] = y[U] + half * u_rate1
-    stage[THETA1] = y[THETA1] + half * y[OMEGA1]
-    stage[OMEGA1] = y[OMEGA1] + half * start[ALPHA1]
-    stage[OMEGA2] = y[OMEGA2] + half * start[ALPHA2]
-    theta_mid = stage[THETA1]
+        states[END, X1 + i] = states[HERE, X1 + i] + half * states[HERE, VX1 + i]
+        states[END, VX1 + i] = states[HERE, VX1 + i] + half * points[HERE, AX1 + i]
+    states[END, U] = states[HERE, U] + half * u_rate1
+    states[END, THETA1] = states[HERE, THETA1] + half * states[HERE, OMEGA1]
+    states[END, OMEGA1] = states[HERE, OMEGA1] + half * points[HERE, ALPHA1]
+    states[END, OMEGA2] = states[HERE, OMEGA2] + half * points[HERE, ALPHA2]
+    theta_mid = states[END, THETA1]
     turn_mid = phase + half * speed * TURNS_PER_RADIAN if nominal else theta_mid * TURNS_PER_RADIAN
-    excite(phase_turn(constants, turns, turn_mid), orders, cosines, sines, waves, exc_mid)
-    evaluate(constants, speed, load, stage, flags, exc_mid, 0.0, middle)
+    excite(phase_turn(constants, turns, turn_mid), waves, amplitudes, excs, MIDDLE)
+    evaluate(constants, speed, load, states, END, flags, excs, MIDDLE, 0.0, points, MIDDLE)
 
     # Stage 3
-    u_rate2 = rb1 * stage[OMEGA1] - rb2 * stage[OMEGA2]
-    omega1_2 = stage[OMEGA1]
+    u_rate2 = rb1 * states[END, OMEGA1] - rb2 * states[END, OMEGA2]
+    omega1_2 = states[END, OMEGA1]
     for i in range(4):
-        stage[X1 + i] = y[X1 + i] + half * stage[VX1 + i]
-        stage[VX1 + i] = y[VX1 + i] + half * middle[AX1 + i]
-    stage[U] = y[U] + half * u_rate2
-    stage[THETA1] = y[THETA1] + half * omega1_2
-    stage[OMEGA1] = y[OMEGA1] + half * middle[ALPHA1]
-    stage[OMEGA2] = y[OMEGA2] + half * middle[ALPHA2]
-    lag = 0.0 if nominal else constants.teeth1 * half * (omega1_2 - y[OMEGA1])
-    evaluate(constants, speed, load, stage, flags, exc_mid, lag, late)
+        states[END, X1 + i] = states[HERE, X1 + i] + half * states[END, VX1 + i]
+        states[END, VX1 + i] = states[HERE, VX1 + i] + half * points[MIDDLE, AX1 + i]
+    states[END, U] = states[HERE, U] + half * u_rate2
+    states[END, THETA1] = states[HERE, THETA1] + half * omega1_2
+    states[END, OMEGA1] = states[HERE, OMEGA1] + half * points[MIDDLE, ALPHA1]
+    states[END, OMEGA2] = states[HERE, OMEGA2] + half * points[MIDDLE, ALPHA2]
+    lag = 0.0 if nominal else constants.teeth1 * half * (omega1_2 - states[HERE, OMEGA1])
+    evaluate(constants, speed, load, states, END, flags, excs, MIDDLE, lag, points, LATE)
 
     # Stage 4
-    u_rate3 = rb1 * stage[OMEGA1] - rb2 * stage[OMEGA2]
-    omega1_3 = stage[OMEGA1]
+    u_rate3 = rb1 * states[END, OMEGA1] - rb2 * states[END, OMEGA2]
+    omega1_3 = states[END, OMEGA1]
     sixth = h * h / 6.0
     for i in range(4):
-        stage[X1 + i] = y[X1 + i] + h * stage[VX1 + i]
-        stage[VX1 + i] = y[VX1 + i] + h * late[AX1 + i]
-    stage[U] = y[U] + h * u_rate3
-    stage[THETA1] = y[THETA1] + h * omega1_3
-    stage[OMEGA1] = y[OMEGA1] + h * late[ALPHA1]
-    stage[OMEGA2] = y[OMEGA2] + h * late[ALPHA2]
-    theta_end = stage[THETA1]
+        states[END, X1 + i] = states[HERE, X1 + i] + h * states[END, VX1 + i]
+        states[END, VX1 + i] = states[HERE, VX1 + i] + h * points[LATE, AX1 + i]
+    states[END, U] = states[HERE, U] + h * u_rate3
+    states[END, THETA1] = states[HERE, THETA1] + h * omega1_3
+    states[END, OMEGA1] = states[HERE, OMEGA1] + h * points[LATE, ALPHA1]
+    states[END, OMEGA2] = states[HERE, OMEGA2] + h * points[LATE, ALPHA2]
+    theta_end = states[END, THETA1]
     turn_end = phase + h * speed * TURNS_PER_RADIAN if nominal else theta_end * TURNS_PER_RADIAN
-    excite(phase_turn(constants, turns, turn_end), orders, cosines, sines, waves, exc_end)
-    evaluate(constants, speed, load, stage, flags, exc_end, 0.0, end)
+    excite(phase_turn(constants, turns, turn_end), waves, amplitudes, excs, END)
+    evaluate(constants, speed, load, states, END, flags, excs, END, 0.0, points, END)
 
     weight = h / 6.0
     for i in range(4):
-        pair = middle[AX1 + i] + late[AX1 + i]
-        stage[X1 + i] = y[X1 + i] + h * y[VX1 + i] + sixth * (start[AX1 + i] + pair)
-        stage[VX1 + i] = y[VX1 + i] + weight * (start[AX1 + i] + 2.0 * pair + end[AX1 + i])
-    pair1 = middle[ALPHA1] + late[ALPHA1]
-    pair2 = middle[ALPHA2] + late[ALPHA2]
-    u_sum = rb1 * (start[ALPHA1] + pair1) - rb2 * (start[ALPHA2] + pair2)
-    stage[U] = y[U] + h * u_rate1 + sixth * u_sum
-    stage[THETA1] = y[THETA1] + h * y[OMEGA1] + sixth * (start[ALPHA1] + pair1)
-    stage[OMEGA1] = y[OMEGA1] + weight * (start[ALPHA1] + 2.0 * pair1 + end[ALPHA1])
-    stage[OMEGA2] = y[OMEGA2] + weight * (start[ALPHA2] + 2.0 * pair2 + end[ALPHA2])
-    stage[MESH_IMPULSE] = y[MESH_IMPULSE] + weight * (
-        start[MESH_FORCE] + 2.0 * (middle[MESH_FORCE] + late[MESH_FORCE]) + end[MESH_FORCE]
+        pair = points[MIDDLE, AX1 + i] + points[LATE, AX1 + i]
+        states[END, X1 + i] = states[HERE, X1 + i] + h * states[HERE, VX1 + i] + sixth * (points[HERE, AX1 + i] + pair)
+        states[END, VX1 + i] = states[HERE, VX1 + i] + weight * (points[HERE, AX1 + i] + 2.0 * pair + points[END, AX1 + i])
+    pair1 = points[MIDDLE, ALPHA1] + points[LATE, ALPHA1]
+    pair2 = points[MIDDLE, ALPHA2] + points[LATE, ALPHA2]
+    u_sum = rb1 * (points[HERE, ALPHA1] + pair1) - rb2 * (points[HERE, ALPHA2] + pair2)
+    states[END, U] = states[HERE, U] + h * u_rate1 + sixth * u_sum
+    states[END, THETA1] = states[HERE, THETA1] + h * states[HERE, OMEGA1] + sixth * (points[HERE, ALPHA1] + pair1)
+    states[END, OMEGA1] = states[HERE, OMEGA1] + weight * (points[HERE, ALPHA1] + 2.0 * pair1 + points[END, ALPHA1])
+    states[END, OMEGA2] = states[HERE, OMEGA2] + weight * (points[HERE, ALPHA2] + 2.0 * pair2 + points[END, ALPHA2])
+    states[END, MESH_IMPULSE] = states[HERE, MESH_IMPULSE] + weight * (
+        points[HERE, MESH_FORCE] + 2.0 * (points[MIDDLE, MESH_FORCE] + points[LATE, MESH_FORCE]) + points[END, MESH_FORCE]
     )
-    lag_end = 0.0 if nominal else constants.teeth1 * (stage[THETA1] - theta_end)
-    evaluate(constants, speed, load, stage, flags, exc_end, lag_end, end)
+    lag_end = 0.0 if nominal else constants.teeth1 * (states[END, THETA1] - theta_end)
+    evaluate(constants, speed, load, states, END, flags, excs, END, lag_end, points, END)
     return lag_end
 
 
@@ -492,56 +499,58 @@ def hermite_root(v0, r0, v1, r1):
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def crossing(event, start, end, h):
-    """Fraction of the step ``h`` at which ``event``, positive at ``start`` and negative at ``end``, is zero."""
-    v0, v1 = start[VALUE + event], end[VALUE + event]
-    if event == MESH_CLAMP or event == BEARING_CLAMP or event == BEARING_CLAMP + 1:
-        return v0 / (v0 - v1)
-    return hermite_root(v0, h * start[RATE + event], v1, h * end[RATE + event])
+def has_rate(event):
+    """Whether the rate of ``event`` is known: clamps have none, it would need accelerations."""
+    return event != MESH_CLAMP and event != BEARING_CLAMP and event != BEARING_CLAMP + 1
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def first_violated(start, end, h):
-    """The event that seems to come first of those whose value is negative at ``end``, or -1."""
+def first_violated(points, h):
+    """The event that seems to come first of those whose value is negative at END, or -1."""
     first, earliest = -1, 2.0
     for event in range(EVENT_COUNT):
-        if end[VALUE + event] < 0.0:
+        v1 = points[END, VALUE + event]
+        if v1 < 0.0:
+            v0 = points[HERE, VALUE + event]
             at = 0.0
-            if start[VALUE + event] > 0.0:
-                at = crossing(event, start, end, h)
+            if v0 > 0.0:
+                if has_rate(event):
+                    at = hermite_root(v0, h * points[HERE, RATE + event], v1, h * points[END, RATE + event])
+                else:
+                    at = v0 / (v0 - v1)
             if at < earliest:
                 first, earliest = event, at
     return first
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def grazing_fraction(start, end, h):
+def grazing_fraction(points, h):
     """Fraction of the step at which a gap seems to close and open again, or 0.
 
     Looks at gaps that are open at both ends but close at the start and open at the end.
     """
     for event in (UPPER_GAP, LOWER_GAP, BEARING_GAP, BEARING_GAP + 1):
-        v0, r0 = start[VALUE + event], h * start[RATE + event]
-        r1 = h * end[RATE + event]
-        if v0 > 0.0 and r0 < 0.0 and r1 > 0.0 and v0 + r0 < 0.0:
-            v1 = end[VALUE + event]
-            c2 = 3.0 * (v1 - v0) - 2.0 * r0 - r1
-            c3 = 2.0 * (v0 - v1) + r0 + r1
-            low, high = 0.0, 1.0
-            for _ in range(40):
-                s = 0.5 * (low + high)
-                if r0 + s * (2.0 * c2 + 3.0 * s * c3) < 0.0:
-                    low = s
-                else:
-                    high = s
-            if v0 + low * (r0 + low * (c2 + low * c3)) < 0.0:
-                return low
+        v0, r0 = points[HERE, VALUE + event], h * points[HERE, RATE + event]
+        if v0 > 0.0 and v0 + r0 < 0.0:
+            v1, r1 = points[END, VALUE + event], h * points[END, RATE + event]
+            if r1 > 0.0:
+                c2 = 3.0 * (v1 - v0) - 2.0 * r0 - r1
+                c3 = 2.0 * (v0 - v1) + r0 + r1
+                low, high = 0.0, 1.0
+                for _ in range(40):
+                    middle = 0.5 * (low + high)
+                    if r0 + middle * (2.0 * c2 + 3.0 * middle * c3) < 0.0:
+                        low = middle
+                    else:
+                        high = middle
+                if v0 + low * (r0 + low * (c2 + low * c3)) < 0.0:
+                    return low
     return 0.0
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def flip(constants, event, y, flags, point):
-    """Change the flag that ``event`` stands for; a bearing contact that begins latches its impact speed."""
+def flip(constants, event, states, flags, points):
+    """Change the flag that ``event`` stands for at HERE; a bearing contact that begins latches its impact speed."""
     if event == UPPER_GAP or event == LOWER_GAP:
         side = 1 if event == UPPER_GAP else -1
         flags[FLANK] = side if flags[FLANK] == 0 else 0
@@ -554,7 +563,7 @@ def flip(constants, event, y, flags, point):
         flags[CLAMPED + gear] = 0
         flags[CONTACT + gear] = 1 - flags[CONTACT + gear]
         if flags[CONTACT + gear] == 1:
-            y[IMPACT_SPEED + gear] = max(point[CLOSING + gear], constants.minimum_impact_speed)
+            states[HERE, IMPACT_SPEED + gear] = max(points[HERE, CLOSING + gear], constants.minimum_impact_speed)
             flags[IMPACTS] += 1
     elif event < FILM_LIMIT:
         flags[CLAMPED + event - BEARING_CLAMP] = 1 - flags[CLAMPED + event - BEARING_CLAMP]
@@ -564,76 +573,70 @@ def flip(constants, event, y, flags, point):
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def settle(constants, commands, event, y, flags, exc, lag, point):
-    """Flip ``event`` and, as events fall together, every other one that is past its surface."""
-    speed, load = commands
-    flip(constants, event, y, flags, point)
+def settle(constants, speed, load, event, states, flags, excs, lag, points):
+    """Flip ``event`` at HERE and, as events fall together, every other one that is past its surface."""
+    flip(constants, event, states, flags, points)
     flipped = 1 << event
     for _ in range(EVENT_COUNT):
-        evaluate(constants, speed, load, y, flags, exc, lag, point)
+        evaluate(constants, speed, load, states, HERE, flags, excs, HERE, lag, points, HERE)
         following = -1
         for other in range(EVENT_COUNT):
-            if point[VALUE + other] < 0.0 and not (flipped >> other) & 1:
+            if points[HERE, VALUE + other] < 0.0 and not (flipped >> other) & 1:
                 following = other
                 break
         if following < 0:
             return
-        flip(constants, following, y, flags, point)
+        flip(constants, following, states, flags, points)
         flipped |= 1 << following
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def locate(constants, commands, table, work, y, flags, phase, start, exc, lag, h, end, exc_end, event, low_point):
-    """Shorten the step ``h`` until it ends on the first event; returns (h, event, lag at the end, capped).
+def locate(constants, speed, load, waves, amplitudes, states, flags, phase, points, excs, h, event):
+    """Shorten the step ``h`` until it ends on the first event; returns (h, event, lag at END, capped).
 
-    ``event`` is positive at ``start`` and negative at ``end`` on entry. Steps are tried at the root of the cubic
-    through both ends of the bracket (of the secant, where no rate is known, weighted after Illinois). A second
-    event that turns out to come earlier takes over.
+    ``event`` is positive at HERE and negative at END on entry. Steps are tried at the root of the cubic through
+    both ends of the bracket (of the secant, weighted after Illinois, where no rate is known). A second event
+    that turns out to come earlier takes over.
     """
     low, high = 0.0, h
-    for i in range(POINT_SIZE):
-        low_point[i] = start[i]
-    v_high, r_high = end[VALUE + event], end[RATE + event]
-    tolerance = EVENT_TOLERANCE * (start[VALUE + event] - v_high)
+    points[LOW, :] = points[HERE, :]
+    v_high, r_high = points[END, VALUE + event], points[END, RATE + event]
+    tolerance = EVENT_TOLERANCE * (points[HERE, VALUE + event] - v_high)
     weight_low, weight_high, side = 1.0, 1.0, 0
-    lag_end = 0.0
+    at, lag_end = h, 0.0
     for _ in range(SEARCH_LIMIT):
-        v_low, width = low_point[VALUE + event], high - low
-        if event == MESH_CLAMP or event == BEARING_CLAMP or event == BEARING_CLAMP + 1:
-            a, b = weight_low * v_low, weight_high * v_high
-            fraction = a / (a - b)
+        v_low, width = points[LOW, VALUE + event], high - low
+        if has_rate(event):
+            fraction = hermite_root(v_low, width * points[LOW, RATE + event], v_high, width * r_high)
         else:
-            fraction = hermite_root(v_low, width * low_point[RATE + event], v_high, width * r_high)
+            fraction = weight_low * v_low / (weight_low * v_low - weight_high * v_high)
         at = low + fraction * width
         if not (low < at < high):
             at = 0.5 * (low + high)
         lag_end = try_step(
-            constants, commands, table, work, y, flags, phase, start, exc, lag, at, end, exc_end
+            constants, speed, load, waves, amplitudes, states, flags, phase, points, excs, at
         )
         earlier = -1
         for other in range(EVENT_COUNT):
-            value = end[VALUE + other]
-            if other != event and value < 0.0 and low_point[VALUE + other] > 0.0:
-                if value < -EVENT_TOLERANCE * (low_point[VALUE + other] - value):
-                    earlier = other
+            v0, v1 = points[LOW, VALUE + other], points[END, VALUE + other]
+            if other != event and v0 > 0.0 and v1 < -EVENT_TOLERANCE * (v0 - v1):
+                earlier = other
+        value = points[END, VALUE + (event if earlier < 0 else earlier)]
         if earlier >= 0:
             event, high = earlier, at
-            v_high, r_high = end[VALUE + event], end[RATE + event]
-            tolerance = EVENT_TOLERANCE * (low_point[VALUE + event] - v_high)
+            v_high, r_high = value, points[END, RATE + event]
+            tolerance = EVENT_TOLERANCE * (points[LOW, VALUE + event] - value)
             weight_low, weight_high, side = 1.0, 1.0, 0
-            continue
-        value = end[VALUE + event]
-        if abs(value) <= tolerance or high - low <= 1e-12 * h:
+        elif abs(value) <= tolerance or width <= 1e-12 * h:
             return at, event, lag_end, 0
-        if value < 0.0:
-            high, v_high, r_high = at, value, end[RATE + event]
+        elif value < 0.0:
+            high, v_high, r_high = at, value, points[END, RATE + event]
             weight_high = 1.0
             weight_low = 0.5 * weight_low if side == -1 else 1.0
             side = -1
         else:
             low = at
-            for i in range(POINT_SIZE):
-                low_point[i] = end[i]
+            points[LOW, :] = points[END, :]
             weight_low = 1.0
             weight_high = 0.5 * weight_high if side == 1 else 1.0
             side = 1
@@ -641,217 +644,250 @@ def locate(constants, commands, table, work, y, flags, phase, start, exc, lag, h
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def take_step(constants, commands, table, work, y, flags, phase, points, excs, lag):
-    """Advance ``y`` by one step, split at every event; returns the lag of the excitations in ``excs[0]``.
+def split_step(constants, speed, load, waves, amplitudes, states, flags, points, excs, lag_end):
+    """Go on from a first trial of the whole step, at END, that met an event: split the step at every event.
 
-    On entry and return ``points[0]`` is the point of ``y`` and ``excs[0]`` belongs to it with the lag.
+    Searches that met their limit are counted in CAPPED.
     """
     step = constants.step
-    done = 0.0
-    stops = 0
-    h = step
+    phase = states[HERE, NOMINAL_TURN]
+    done, h, stops = 0.0, step, 0
+    tried = True
     while True:
-        lag_end = try_step(
-            constants, commands, table, work, y, flags, phase, points[0], excs[0], lag, h, points[1], excs[1]
-        )
+        if not tried:
+            lag_end = try_step(
+                constants, speed, load, waves, amplitudes, states, flags, phase, points, excs, h
+            )
+        tried = False
         event = -1
         if stops < STOPS_PER_STEP:
-            event = first_violated(points[0], points[1], h)
+            event = first_violated(points, h)
             if event < 0:
-                fraction = grazing_fraction(points[0], points[1], h)
+                fraction = grazing_fraction(points, h)
                 if fraction > SHORTEST_SUBSTEP:
                     h *= fraction
                     stops += 1
                     continue
-            elif points[0][VALUE + event] <= 0.0:
-                # Just flipped and past its surface again: look for a point before that.
-                if h > SHORTEST_SUBSTEP * step:
-                    h *= 0.5
-                    continue
-                flags[CAPPED] += 1
-            else:
+            elif points[HERE, VALUE + event] > 0.0:
                 h, event, lag_end, capped = locate(
-                    constants,
-                    commands,
-                    table,
-                    work,
-                    y,
-                    flags,
-                    phase,
-                    points[0],
-                    excs[0],
-                    lag,
-                    h,
-                    points[1],
-                    excs[1],
-                    event,
-                    points[2],
+                    constants, speed, load, waves, amplitudes, states, flags, phase, points, excs, h, event
                 )
                 flags[CAPPED] += capped
-            stops += 1
+                stops += 1
+            elif h > SHORTEST_SUBSTEP * step:
+                # Just flipped, yet past its surface at the end: look for a point before that.
+                h *= 0.5
+                continue
+            else:
+                flags[CAPPED] += 1
+                stops += 1
             if stops == STOPS_PER_STEP:
                 flags[CAPPED] += 1
-        for i in range(MECHANICAL + 1):
-            y[i] = work[0][i]
-        for i in range(POINT_SIZE):
-            points[0][i] = points[1][i]
-        for i in range(EXCITATIONS):
-            excs[0][i] = excs[1][i]
-        lag = lag_end
+        accept(states, points, excs)
         done += h
-        phase += h * commands[0] * TURNS_PER_RADIAN
+        phase += h * speed * TURNS_PER_RADIAN
         if event >= 0:
-            settle(constants, commands, event, y, flags, excs[0], lag, points[0])
+            settle(constants, speed, load, event, states, flags, excs, lag_end, points)
         h = step - done
         if h <= SHORTEST_SUBSTEP * step:
             break
     if stops >= STOPS_PER_STEP:
-        late = first_violated(points[0], points[0], step)
+        late = -1
+        for event in range(EVENT_COUNT):
+            if points[HERE, VALUE + event] < 0.0:
+                late = event
         if late >= 0:
-            settle(constants, commands, late, y, flags, excs[0], lag, points[0])
-    return lag
+            settle(constants, speed, load, late, states, flags, excs, lag_end, points)
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def wrap(constants, y, flags):
+def accept(states, points, excs):
+    """The end of the trial becomes the state."""
+    for i in range(MECHANICAL + 1):
+        states[HERE, i] = states[END, i]
+    for i in range(POINT_SIZE):
+        points[HERE, i] = points[END, i]
+    for i in range(EXCITATIONS):
+        excs[HERE, i] = excs[END, i]
+
+
+@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+def is_eventful(points, h):
+    """Whether a surface was crossed over the trial step, or a gap may have closed and opened again."""
+    crossed = False
+    for event in range(EVENT_COUNT):
+        crossed |= points[END, VALUE + event] < 0.0
+    for event in (UPPER_GAP, LOWER_GAP, BEARING_GAP, BEARING_GAP + 1):
+        crossed |= points[HERE, VALUE + event] + h * points[HERE, RATE + event] < 0.0
+    return crossed
+
+
+@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+def wrap(constants, states, flags):
     """Bring theta1 back to one revolution and count it; the phase counts modulo the hunting cycle."""
     revolutions = 0
-    if y[THETA1] >= TWO_PI:
-        y[THETA1] -= TWO_PI
+    if states[HERE, THETA1] >= TWO_PI:
+        states[HERE, THETA1] -= TWO_PI
         revolutions = 1
-    elif y[THETA1] < 0.0:
-        y[THETA1] += TWO_PI
+    elif states[HERE, THETA1] < 0.0:
+        states[HERE, THETA1] += TWO_PI
         revolutions = -1
-    flags[REVOLUTIONS] += revolutions
-    if not constants.nominal_phase:
-        flags[TURN] = (flags[TURN] + revolutions) % int(constants.hunting)
+    if revolutions != 0:
+        flags[REVOLUTIONS] += revolutions
+        if not constants.nominal_phase:
+            flags[TURN] = (flags[TURN] + revolutions) % constants.hunting
 
 
 @njit(cache=True, error_model="numpy")
-def advance_nominal(constants, speed, y, flags):
+def advance_nominal(constants, speed, states, flags):
     """One step of the nominal phase, without the drift of a plain sum (Kahan); must not be contracted."""
-    increment = speed * constants.step * TURNS_PER_RADIAN - y[NOMINAL_REST]
-    turn = y[NOMINAL_TURN] + increment
-    y[NOMINAL_REST] = (turn - y[NOMINAL_TURN]) - increment
+    increment = speed * constants.step * TURNS_PER_RADIAN - states[HERE, NOMINAL_REST]
+    before = states[HERE, NOMINAL_TURN]
+    turn = before + increment
+    states[HERE, NOMINAL_REST] = (turn - before) - increment
     if turn >= 1.0:
         turn -= 1.0
-        flags[TURN] = (flags[TURN] + 1) % int(constants.hunting)
+        flags[TURN] = (flags[TURN] + 1) % constants.hunting
     elif turn < 0.0:
         turn += 1.0
-        flags[TURN] = (flags[TURN] - 1) % int(constants.hunting)
-    y[NOMINAL_TURN] = turn
+        flags[TURN] = (flags[TURN] - 1) % constants.hunting
+    states[HERE, NOMINAL_TURN] = turn
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def govern(constants, speed, y, interval):
+def govern(constants, speed, states, interval):
     """PI governor, once a sample: T_M = clip(Kp err + I); I stands still while clipped."""
-    error = speed - y[OMEGA1]
-    wanted = constants.governor_proportional * error + y[GOVERNOR]
+    error = speed - states[HERE, OMEGA1]
+    wanted = constants.governor_proportional * error + states[HERE, GOVERNOR]
     limit = constants.governor_limit
-    y[DRIVE_TORQUE] = min(max(wanted, -limit), limit)
+    states[HERE, DRIVE_TORQUE] = min(max(wanted, -limit), limit)
     if -limit <= wanted <= limit:
-        y[GOVERNOR] += constants.governor_integral * error * interval
+        states[HERE, GOVERNOR] += constants.governor_integral * error * interval
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def write_sample(constants, time, turn, y, flags, point, row, angles):
+def write_sample(constants, time, turn, states, flags, points, row, angles):
     """One row of CHANNELS and the accumulated angles of both shafts."""
     row[0] = time
-    row[1] = point[Q]
-    row[2] = point[Q_RATE]
-    row[3] = point[MESH_FORCE]
-    row[4] = math.atan(point[TAN_ALPHA])
-    row[5] = math.atan2(y[Y2] - y[Y1], constants.centre_distance + y[X2] - y[X1])
-    row[6] = point[HALF_BACKLASH]
+    row[1] = points[HERE, Q]
+    row[2] = points[HERE, Q_RATE]
+    row[3] = points[HERE, MESH_FORCE]
+    row[4] = math.atan(points[HERE, TAN_ALPHA])
+    row[5] = math.atan2(
+        states[HERE, Y2] - states[HERE, Y1], constants.centre_distance + states[HERE, X2] - states[HERE, X1]
+    )
+    row[6] = points[HERE, HALF_BACKLASH]
     row[7] = flags[FLANK]
     for i in range(4):
-        row[8 + i] = y[X1 + i]
+        row[8 + i] = states[HERE, X1 + i]
     for gear in range(2):
-        row[12 + 2 * gear] = point[CONTACT_X + gear]
-        row[13 + 2 * gear] = point[CONTACT_Y + gear]
-        row[16 + 2 * gear] = point[FILM_X + gear]
-        row[17 + 2 * gear] = point[FILM_Y + gear]
-        row[20 + gear] = point[PENETRATION + gear]
-    row[22] = y[OMEGA1]
-    row[23] = y[OMEGA2]
-    row[24] = y[DRIVE_TORQUE]
-    row[25] = point[LOAD]
-    row[26] = y[THETA1]
+        row[12 + 2 * gear] = points[HERE, CONTACT_X + gear]
+        row[13 + 2 * gear] = points[HERE, CONTACT_Y + gear]
+        row[16 + 2 * gear] = points[HERE, FILM_X + gear]
+        row[17 + 2 * gear] = points[HERE, FILM_Y + gear]
+        row[20 + gear] = points[HERE, PENETRATION + gear]
+    row[22] = states[HERE, OMEGA1]
+    row[23] = states[HERE, OMEGA2]
+    row[24] = states[HERE, DRIVE_TORQUE]
+    row[25] = points[HERE, LOAD]
+    row[26] = states[HERE, THETA1]
     mesh_turn = constants.teeth1 * turn
     row[27] = TWO_PI * (mesh_turn - math.floor(mesh_turn))
-    angles[0] = TWO_PI * flags[REVOLUTIONS] + y[THETA1]
-    angles[1] = (constants.base_radius1 * angles[0] - y[U]) / constants.base_radius2
-
-
-@njit(cache=True, error_model="numpy")
-def make_work():
-    """Scratch of the integrator: (stage state, excitations, two points)."""
-    return np.zeros(STATE_SIZE), np.zeros(EXCITATIONS), np.zeros(POINT_SIZE), np.zeros(POINT_SIZE)
+    angles[0] = TWO_PI * flags[REVOLUTIONS] + states[HERE, THETA1]
+    angles[1] = (constants.base_radius1 * angles[0] - states[HERE, U]) / constants.base_radius2
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def open_point(constants, commands, orders, cosines, sines, waves, y, flags, exc, point):
-    """Evaluate ``y`` afresh into ``exc`` and ``point``; returns the turn of gear 1 that sets the phase."""
-    speed, load = commands
-    turn = y[NOMINAL_TURN] if constants.nominal_phase else y[THETA1] * TURNS_PER_RADIAN
-    excite(phase_turn(constants, flags[TURN], turn), orders, cosines, sines, waves, exc)
-    evaluate(constants, speed, load, y, flags, exc, 0.0, point)
+def open_point(constants, speed, load, waves, amplitudes, states, flags, points, excs):
+    """Evaluate the state HERE afresh; returns the turn of gear 1 that sets the phase."""
+    turn = states[HERE, NOMINAL_TURN] if constants.nominal_phase else states[HERE, THETA1] * TURNS_PER_RADIAN
+    excite(phase_turn(constants, flags[TURN], turn), waves, amplitudes, excs, HERE)
+    evaluate(constants, speed, load, states, HERE, flags, excs, HERE, 0.0, points, HERE)
     return turn
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def touch(constants, commands, orders, cosines, sines, y, flags):
+@njit(cache=True, error_model="numpy")
+def make_work(y, orders):
+    """Scratch of the integrator around the state ``y``: (states, points, excs, waves)."""
+    states = np.zeros((2, STATE_SIZE))
+    states[HERE, :] = y
+    states[END, :] = y
+    waves = np.zeros((3, orders.shape[0]))
+    waves[0, :] = orders
+    return states, np.zeros((ROWS, POINT_SIZE)), np.zeros((ROWS, EXCITATIONS)), waves
+
+
+@njit(cache=True, error_model="numpy")
+def touch(constants, commands, orders, amplitudes, y, flags):
     """Set u so that the drive flank just touches (q = b1), in contact if the gap is closing."""
-    exc, point, waves = np.zeros(EXCITATIONS), np.zeros(POINT_SIZE), np.zeros((2, orders.shape[0]))
+    speed, load = commands
     flags[FLANK] = 0
     y[U] = 0.0
-    open_point(constants, commands, orders, cosines, sines, waves, y, flags, exc, point)
-    y[U] = point[HALF_BACKLASH] - point[Q]
-    if point[RATE + UPPER_GAP] < 0.0:
+    states, points, excs, waves = make_work(y, orders)
+    open_point(constants, speed, load, waves, amplitudes, states, flags, points, excs)
+    y[U] = points[HERE, HALF_BACKLASH] - points[HERE, Q]
+    if points[HERE, RATE + UPPER_GAP] < 0.0:
         flags[FLANK] = 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def run(constants, commands, orders, cosines, sines, y, flags, first_sample, interval_ns, samples, angles):
-    """Integrate and sample: fills ``samples`` (n, 28) and ``angles`` (n, 2), row k the state before sample k's steps.
+@njit(cache=True, error_model="numpy")
+def accelerations(constants, commands, orders, amplitudes, y, flags):
+    """Accelerations (x1, y1, x2, y2 in m/s^2; omega1, omega2 in rad/s^2) at ``y`` with ``flags`` frozen."""
+    speed, load = commands
+    states, points, excs, waves = make_work(y, orders)
+    open_point(constants, speed, load, waves, amplitudes, states, flags, points, excs)
+    return points[HERE, :6].copy()
 
-    ``commands`` (speed, load torque). Changes ``y`` and ``flags`` in place; returns (rows
-    written, status). On OVER_SPEED and CENTRES_PRESSED the last row is the state that broke the limit; a
-    NON_FINITE state is not written.
+
+@njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
+def run(constants, commands, orders, amplitudes, y, flags, first_sample, interval_ns, samples, angles):
+    """Integrate and sample: row k of ``samples`` (n, 28) and ``angles`` (n, 2) is the state before its steps.
+
+    ``commands`` (speed, load torque). Changes ``y`` and ``flags`` in place; returns (rows written, status). On
+    OVER_SPEED and CENTRES_PRESSED the last row is the state that broke the limit; a NON_FINITE state is not
+    written.
     """
+    speed, load = commands
     n = samples.shape[0]
-    waves = np.zeros((2, orders.shape[0]))
-    table = (orders, cosines, sines, waves)
-    work = make_work()
-    points = np.zeros((3, POINT_SIZE))
-    excs = np.zeros((2, EXCITATIONS))
-    limit = constants.speed_limit
-    interval = constants.step * constants.steps_per_sample
+    states, points, excs, waves = make_work(y, orders)
+    limit, step = constants.speed_limit, constants.step
+    interval = step * constants.steps_per_sample
+    written, status = n, RUNNING
     for row in range(n):
         if constants.governed:
-            govern(constants, commands[0], y, interval)
-        turn = open_point(constants, commands, orders, cosines, sines, waves, y, flags, excs[0], points[0])
+            govern(constants, speed, states, interval)
+            states[END, DRIVE_TORQUE] = states[HERE, DRIVE_TORQUE]
+        turn = open_point(constants, speed, load, waves, amplitudes, states, flags, points, excs)
         total = 0.0
         for i in range(MECHANICAL):
-            total += y[i] + points[0][AX1 + i % 6]
+            total += states[HERE, i] + points[HERE, AX1 + i % 6]
         if not math.isfinite(total):
-            return row, NON_FINITE
-        write_sample(
-            constants, (first_sample + row) * interval_ns / 1e9, turn, y, flags, points[0], samples[row], angles[row]
-        )
-        if abs(y[OMEGA1]) > limit or abs(y[OMEGA2]) > limit:
-            return row + 1, OVER_SPEED
-        if points[0][HALF_BACKLASH] <= 0.0 or flags[PRESSED] == 1:
-            return row + 1, CENTRES_PRESSED
-        lag = 0.0
+            written, status = row, NON_FINITE
+            break
+        time = (first_sample + row) * interval_ns / 1e9
+        write_sample(constants, time, turn, states, flags, points, samples[row], angles[row])
+        if abs(states[HERE, OMEGA1]) > limit or abs(states[HERE, OMEGA2]) > limit:
+            written, status = row + 1, OVER_SPEED
+            break
+        if points[HERE, HALF_BACKLASH] <= 0.0 or flags[PRESSED] == 1:
+            written, status = row + 1, CENTRES_PRESSED
+            break
         for _ in range(constants.steps_per_sample):
-            lag = take_step(
-                constants, commands, table, work, y, flags, y[NOMINAL_TURN], points, excs, lag
+            phase = states[HERE, NOMINAL_TURN]
+            lag_end = try_step(
+                constants, speed, load, waves, amplitudes, states, flags, phase, points, excs, step
             )
-            wrap(constants, y, flags)
+            if is_eventful(points, step):
+                split_step(
+                    constants, speed, load, waves, amplitudes, states, flags, points, excs, lag_end
+                )
+            else:
+                accept(states, points, excs)
+            wrap(constants, states, flags)
             if constants.nominal_phase:
-                advance_nominal(constants, commands[0], y, flags)
+                advance_nominal(constants, speed, states, flags)
             flags[STEPS] += 1
-            if points[0][HALF_BACKLASH] <= 0.0:
+            if points[HERE, HALF_BACKLASH] <= 0.0:
                 flags[PRESSED] = 1
-    return n, RUNNING
+    y[:] = states[HERE, :]
+    return written, status
