@@ -1,4 +1,4 @@
-"""Chunks, commands and events as ROS 2 messages in CDR, made without ROS: the bytes published are those recorded."""
+"""Chunks, commands and events as ROS 2 messages in CDR, without ROS: what is published is recorded."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import math
 import struct
 from collections.abc import Iterable, Sequence
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -251,8 +251,8 @@ class Encoder:
         if prefix is None:
             whole = serialize(ARRAY, waveform_message(self._channels, picked))
             prefix = self._waveform_prefixes[len(picked)] = whole[: -picked.nbytes]
-        # numpy's bytes are the native order; CDR's header here says little endian
-        return prefix + cast("bytes", picked.astype("<f8", copy=False).tobytes())
+        # NumPy's own order may be another than the little endian that the CDR header promises
+        return prefix + picked.astype("<f8", copy=False).tobytes()
 
 
 # The smallest messages are packed by hand: four of them are made per chunk.

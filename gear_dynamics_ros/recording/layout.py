@@ -1,0 +1,172 @@
+"""Names and texts of a recording: a rosbag2 folder (metadata version 9) of MCAP files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import yaml
+
+from gear_dynamics_ros.messages import TYPESTORE, Topic
+
+METADATA_FILE: Final = "metadata.yaml"
+PARAMETERS_ATTACHMENT: Final = "parameters.yaml"
+START_ATTACHMENT: Final = "start.json"
+RUN_METADATA: Final = "gear_dynamics_ros"
+ROSBAG2_METADATA: Final = "rosbag2"
+ROSBAG2_KEY: Final = "serialized_metadata"
+ROS_DISTRO: Final = "jazzy"
+
+_INFORMATION = "rosbag2_bagfile_information"
+
+
+class Part(NamedTuple):
+    """One MCAP file of a recording: its messages on each topic (full name), and from when to when."""
+
+    name: str
+    start_ns: int
+    end_ns: int
+    counts: Mapping[str, int]
+
+    @property
+    def messages(self) -> int:
+        """Messages on all topics."""
+        return sum(self.counts.values())
+
+
+class RunMetadata(NamedTuple):
+    """What the MCAP metadata record RUN_METADATA holds."""
+
+    version: str
+    kernel_hash: str
+    epoch_ns: int
+    node: str
+    sample_interval_ns: int
+
+    def to_text(self) -> dict[str, str]:
+        """Values as the text that MCAP stores."""
+        return {name: str(value) for name, value in self._asdict().items()}
+
+    @classmethod
+    def from_text(cls, values: Mapping[str, str]) -> RunMetadata:
+        """Inverse of ``to_text``. Raises KeyError or ValueError on a missing or spoilt entry."""
+        return cls(
+            version=values["version"],
+            kernel_hash=values["kernel_hash"],
+            epoch_ns=int(values["epoch_ns"]),
+            node=values["node"],
+            sample_interval_ns=int(values["sample_interval_ns"]),
+        )
+
+
+def part_name(folder: Path, number: int) -> str:
+    """File name of part ``number`` of the recording ``folder``."""
+    return f"{folder.name}_{number}.mcap"
+
+
+def part_number(path: Path) -> int:
+    """Inverse of ``part_name``; -1 for a name without a number."""
+    digits = path.stem.rpartition("_")[2]
+    return int(digits) if digits.isdecimal() else -1
+
+
+@cache
+def schema(type_name: str) -> bytes:
+    """ros2msg schema: the message's text, then that of each type it depends on."""
+    return TYPESTORE.generate_msgdef(type_name, ros_version=2)[0].encode()
+
+
+@cache
+def type_hash(type_name: str) -> str:
+    """RIHS01 hash of a message type."""
+    return TYPESTORE.hash_rihs01(type_name)
+
+
+def qos(topic: Topic) -> list[dict[str, Any]]:
+    """Offered quality of service as metadata version 9 spells it."""
+    return [
+        {
+            "history": "keep_last",
+            "depth": topic.depth,
+            "reliability": "reliable" if topic.reliable else "best_effort",
+            "durability": "transient_local" if topic.latched else "volatile",
+            "deadline": _unset(),
+            "lifespan": _unset(),
+            "liveliness": "automatic",
+            "liveliness_lease_duration": _unset(),
+            "avoid_ros_namespace_conventions": False,
+        }
+    ]
+
+
+def channel_metadata(topic: Topic) -> dict[str, str]:
+    """Metadata of the MCAP channel of a topic."""
+    return {"offered_qos_profiles": yaml_text(qos(topic)), "topic_type_hash": type_hash(topic.type)}
+
+
+def bag_information(topics: Mapping[str, Topic], parts: Sequence[Part]) -> dict[str, Any]:
+    """Body of metadata.yaml for ``topics`` (full name -> topic) and parts."""
+    filled = [part for part in parts if part.messages]
+    start_ns = min((part.start_ns for part in filled), default=0)
+    end_ns = max((part.end_ns for part in filled), default=0)
+    return {
+        "version": 9,
+        "storage_identifier": "mcap",
+        "relative_file_paths": [part.name for part in parts],
+        **_times(start_ns, end_ns),
+        "message_count": sum(part.messages for part in parts),
+        "topics_with_message_count": [
+            {
+                "topic_metadata": {
+                    "name": name,
+                    "type": topic.type,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": qos(topic),
+                    "type_description_hash": type_hash(topic.type),
+                },
+                "message_count": sum(part.counts.get(name, 0) for part in parts),
+            }
+            for name, topic in topics.items()
+        ],
+        "compression_format": "",
+        "compression_mode": "",
+        "files": [
+            {
+                "path": part.name,
+                **_times(part.start_ns, part.end_ns),
+                "message_count": part.messages,
+            }
+            for part in parts
+        ],
+        "custom_data": None,
+        "ros_distro": ROS_DISTRO,
+    }
+
+
+def metadata_yaml(topics: Mapping[str, Topic], parts: Sequence[Part]) -> str:
+    """Text of metadata.yaml."""
+    return yaml_text({_INFORMATION: bag_information(topics, parts)})
+
+
+def embedded_metadata(topics: Mapping[str, Topic], part: Part) -> dict[str, str]:
+    """The same about one part alone, for the MCAP metadata record ROSBAG2_METADATA."""
+    return {ROSBAG2_KEY: yaml_text(bag_information(topics, [part]))}
+
+
+def yaml_text(value: Any) -> str:
+    """YAML in block style, in the order given."""
+    return str(yaml.safe_dump(value, sort_keys=False, default_flow_style=False))
+
+
+def _unset() -> dict[str, int]:
+    # a new one each time: PyYAML writes an anchor where one object occurs twice
+    return {"sec": 0, "nsec": 0}
+
+
+def _times(start_ns: int, end_ns: int) -> dict[str, dict[str, int]]:
+    return {
+        "starting_time": {"nanoseconds_since_epoch": start_ns},
+        "duration": {"nanoseconds": end_ns - start_ns},
+    }

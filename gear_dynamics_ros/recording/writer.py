@@ -1,0 +1,383 @@
+"""Recorder: messages into a rosbag2 folder of MCAP files, on a thread of its own.
+
+It never overwrites, never drops and never raises into the thread that hands over: a slow disk holds that
+thread back, a full one sets ``error``.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import IO, Any, Final, NamedTuple, cast
+
+from mcap.writer import CompressionType, Writer
+
+from gear_dynamics_ros import __version__
+from gear_dynamics_ros.engine import kernel_hash
+from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.messages import TOPICS, Record, Topic, resolve
+from gear_dynamics_ros.parameters import Parameters, dump
+from gear_dynamics_ros.recording import layout
+from gear_dynamics_ros.recording.layout import Part, RunMetadata
+from gear_dynamics_ros.recording.survey import seal
+
+CHUNK_BYTES: Final = 1 << 20
+# Three seconds of every channel at 100 kHz: longer than a disk usually pauses.
+QUEUE_BYTES: Final = 64 << 20
+# Half of the second that a crash may cost; the rest is for the queue and the disk.
+FLUSH_SECONDS: Final = 0.5
+
+_LATCHED: Final = tuple(key for key, topic in TOPICS.items() if topic.latched)
+
+
+class Stats(NamedTuple):
+    """How the recorder stands."""
+
+    queued: int  # messages handed over, not yet written
+    queued_bytes: int
+    messages: int  # messages written
+    bytes: int  # size of all files
+    lost: int  # messages handed over after an error, or queued when it came
+
+
+class _Split(NamedTuple):
+    start: Mapping[str, Any]
+
+
+class Recorder:
+    """Records one run into the folder ``path``, made here; ``start`` is the checkpoint it starts from.
+
+    Raises UsageError if ``path`` exists or can't be made, GearboxError if the first file can't be written.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        parameters: Parameters,
+        start: Mapping[str, Any],
+        epoch_ns: int,
+        node: str = "/gearbox",
+    ) -> None:
+        self.path = Path(os.path.abspath(path))
+        self._parameters = dump(parameters)
+        self._run = RunMetadata(
+            __version__, kernel_hash(), epoch_ns, node, parameters.solver.sample_interval_ns
+        )
+        self._topics = {key: (resolve(topic, node), topic) for key, topic in TOPICS.items()}
+        self._sequences: Counter[str] = Counter()
+        self._latched: dict[str, bytes] = {}
+        self._error: str | None = None
+        self._parts: list[Part] = []
+        self._written = 0
+        self._lost = 0
+        self._bytes = 0
+        self._queue: deque[Sequence[Record] | _Split] = deque()
+        self._queued = 0
+        self._queued_bytes = 0
+        self._closing = False
+        self._finished = False
+        self._changed = threading.Condition()
+        _make_folder(self.path)
+        try:
+            self._part = self._open_part(start)
+        except OSError as error:
+            self.path.rmdir()
+            raise GearboxError(
+                f"recording.path: can't write in '{self.path}': {error.strerror}: "
+                "free space or choose another path"
+            ) from error
+        self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
+        self._thread.start()
+
+    @property
+    def error(self) -> str | None:
+        """Why recording stopped; None while all is well."""
+        return self._error
+
+    @property
+    def stats(self) -> Stats:
+        """Figures of this moment."""
+        with self._changed:
+            return Stats(
+                self._queued,
+                self._queued_bytes,
+                self._written,
+                self._bytes + self._part.size * (not self._part.finished),
+                self._lost,
+            )
+
+    def write(self, records: Sequence[Record]) -> None:
+        """Hand over messages, in order; waits while the queue is full."""
+        self._put(records, len(records), sum(len(record.data) for record in records))
+
+    def split(self, start: Mapping[str, Any]) -> None:
+        """Go on in a new file, complete in itself, from the checkpoint ``start`` on."""
+        self._put(_Split(start), 0, 0)
+
+    def close(self) -> None:
+        """Write what is queued, finish the file and metadata.yaml. A second call does nothing."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+        self._thread.join()
+        if not self._finished:
+            self._salvage()
+
+    def _put(self, item: Sequence[Record] | _Split, messages: int, size: int) -> None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._queued_bytes < QUEUE_BYTES or self._stopped)
+            if self._stopped:
+                self._lost += messages
+                return
+            self._queue.append(item)
+            self._queued += messages
+            self._queued_bytes += size
+            self._changed.notify_all()
+
+    @property
+    def _stopped(self) -> bool:
+        return self._closing or self._error is not None
+
+    def _work(self) -> None:
+        try:
+            self._write_all()
+            self._finish_part(self._part)
+            self._write_metadata()
+            self._finished = True
+        except Exception as error:
+            # Whatever went wrong here must neither reach the engine nor leave it waiting for room.
+            self._fail(error)
+            self._salvage()
+
+    def _write_all(self) -> None:
+        flush_at = time.monotonic() + FLUSH_SECONDS
+        while True:
+            item = self._next(flush_at)
+            if isinstance(item, _Split):
+                self._next_part(item.start)
+            elif item:
+                for record in item:
+                    self._write_record(record)
+                self._done(item)
+            elif self._closing and not self._queue:
+                return
+            if time.monotonic() >= flush_at:
+                self._part.flush()
+                flush_at = time.monotonic() + FLUSH_SECONDS
+
+    def _next(self, until: float) -> Sequence[Record] | _Split | None:
+        """What was handed over next; None at the time ``until`` or when closing."""
+        with self._changed:
+            self._changed.wait_for(
+                lambda: self._queue or self._closing, timeout=max(0.0, until - time.monotonic())
+            )
+            return self._queue.popleft() if self._queue else None
+
+    def _done(self, records: Sequence[Record]) -> None:
+        with self._changed:
+            self._queued -= len(records)
+            self._queued_bytes -= sum(len(record.data) for record in records)
+            self._written += len(records)
+            self._changed.notify_all()
+
+    def _write_record(self, record: Record) -> None:
+        if record.topic in _LATCHED:
+            self._latched[record.topic] = record.data
+        self._part.write(record, self._sequences[record.topic])
+        self._sequences[record.topic] += 1
+
+    def _open_part(self, start: Mapping[str, Any]) -> _PartWriter:
+        part = _PartWriter(self.path / layout.part_name(self.path, len(self._parts)), self._topics)
+        try:
+            part.begin(self._run, self._parameters, json.dumps(start))
+        except OSError:
+            part.discard()
+            raise
+        return part
+
+    def _next_part(self, start: Mapping[str, Any]) -> None:
+        self._finish_part(self._part)
+        self._part = self._open_part(start)
+        time_ns = self._run.epoch_ns + int(start["sample"]) * self._run.sample_interval_ns
+        for key, data in self._latched.items():
+            self._write_record(Record(key, time_ns, data))
+
+    def _finish_part(self, part: _PartWriter) -> None:
+        self._parts.append(part.finish())
+        self._bytes += part.size
+
+    def _write_metadata(self) -> None:
+        text = layout.metadata_yaml(dict(self._topics.values()), self._parts)
+        draft = self.path / f"{layout.METADATA_FILE}.part"
+        with draft.open("w", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        draft.replace(self.path / layout.METADATA_FILE)
+
+    def _fail(self, error: Exception) -> None:
+        reason = (
+            error.strerror if isinstance(error, OSError) and error.strerror else str(error) or repr(error)
+        )
+        with self._changed:
+            self._error = (
+                f"recording '{self.path}' stopped: {reason}: what was written stays readable; "
+                "free space and start a new recording"
+            )
+            self._lost += self._queued
+            self._queue.clear()
+            self._queued = self._queued_bytes = 0
+            self._changed.notify_all()
+
+    def _salvage(self) -> None:
+        """Finish, as far as the disk allows, the file that broke off."""
+        try:
+            if not self._part.finished:
+                self._parts.append(self._part.salvage())
+            self._write_metadata()
+            self._finished = True
+        except (OSError, GearboxError):
+            self._finished = False
+
+
+class _PartWriter:
+    """One MCAP file, complete in itself."""
+
+    def __init__(self, path: Path, topics: Mapping[str, tuple[str, Topic]]) -> None:
+        self._path = path
+        self._topics = topics
+        self._channels: dict[str, int] = {}
+        self._counts: Counter[str] = Counter()
+        self._start_ns: int | None = None
+        self._end_ns = 0
+        self._stream = _Stream(path)
+        self._safe = 0
+        self._fresh = False
+        self.finished = False
+        self.size = 0
+        self._mcap: Any = Writer(
+            cast("IO[Any]", self._stream), chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD
+        )
+
+    def begin(self, run: RunMetadata, parameters: str, start: str) -> None:
+        """Header, attachments and channels: whatever a reader needs before the first message."""
+        self._mcap.start(profile="ros2", library=f"{layout.RUN_METADATA} {run.version}")
+        self._mcap.add_metadata(layout.RUN_METADATA, run.to_text())
+        attachments = (
+            (layout.PARAMETERS_ATTACHMENT, "application/yaml", parameters),
+            (layout.START_ATTACHMENT, "application/json", start),
+        )
+        for name, media_type, text in attachments:
+            self._mcap.add_attachment(run.epoch_ns, run.epoch_ns, name, media_type, text.encode())
+        schemas: dict[str, int] = {}
+        for key, (name, topic) in self._topics.items():
+            if topic.type not in schemas:
+                schemas[topic.type] = self._mcap.register_schema(
+                    topic.type, "ros2msg", layout.schema(topic.type)
+                )
+            self._channels[key] = self._mcap.register_channel(
+                name, "cdr", schemas[topic.type], layout.channel_metadata(topic)
+            )
+        self._safe = self.size = self._stream.position
+        self._stream.sync()
+
+    def write(self, record: Record, sequence: int) -> None:
+        """Add a message."""
+        self._mcap.add_message(
+            self._channels[record.topic], record.time_ns, record.data, record.time_ns, sequence
+        )
+        self._safe = self.size = self._stream.position
+        self._counts[self._topics[record.topic][0]] += 1
+        self._start_ns = record.time_ns if self._start_ns is None else min(self._start_ns, record.time_ns)
+        self._end_ns = max(self._end_ns, record.time_ns)
+        self._fresh = True
+
+    def flush(self) -> None:
+        """End the chunk and bring it to the disk, if there is anything new."""
+        if not self._fresh:
+            return
+        self._fresh = False
+        self._mcap.flush()
+        self._safe = self.size = self._stream.position
+        self._stream.sync()
+
+    def finish(self) -> Part:
+        """Complete the file."""
+        self._mcap.flush()
+        self._safe = self._stream.position
+        part = self._part()
+        topics = dict(self._topics.values())
+        self._mcap.add_metadata(layout.ROSBAG2_METADATA, layout.embedded_metadata(topics, part))
+        self._mcap.finish()
+        self._stream.sync()
+        self.size = self._stream.position
+        self._stream.close()
+        self.finished = True
+        return part
+
+    def salvage(self) -> Part:
+        """Complete the file with what was written whole, after a write failed."""
+        self._stream.close()
+        os.truncate(self._path, self._safe)
+        found = seal(self._path)
+        self.size = self._path.stat().st_size
+        self.finished = True
+        return Part(self._path.name, found.start_ns, found.end_ns, found.topic_counts())
+
+    def discard(self) -> None:
+        """Remove the file again."""
+        self._stream.close()
+        self._path.unlink()
+
+    def _part(self) -> Part:
+        return Part(self._path.name, self._start_ns or 0, self._end_ns, dict(self._counts))
+
+
+class _Stream:
+    """Unbuffered new file: after a failed write it is known how far the file is whole."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("xb", buffering=0)
+        self.position = 0
+
+    def write(self, data: bytes) -> int:
+        rest = memoryview(data)
+        while rest:
+            rest = rest[self._file.write(rest) :]
+        self.position += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        return self.position
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+    def sync(self) -> None:
+        os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def _make_folder(path: Path) -> None:
+    if os.path.lexists(path):
+        raise UsageError(
+            f"recording.path: '{path}' exists already and recordings never overwrite: "
+            "choose another path or move it away"
+        )
+    try:
+        path.mkdir()
+    except FileNotFoundError:
+        raise UsageError(
+            f"recording.path: the folder '{path.parent}' does not exist: make it or choose another path"
+        ) from None
+    except OSError as error:
+        raise UsageError(
+            f"recording.path: can't make '{path}': {error.strerror}: choose a writable place"
+        ) from error
