@@ -90,6 +90,7 @@ CONSTANTS = np.dtype(
         ("centre_distance", np.float64),  # a_s, m
         ("base_radius1", np.float64),  # m
         ("base_radius2", np.float64),
+        ("per_radii2", np.float64),  # 1 / (r_b1 + r_b2)^2, 1/m^2
         ("tan2_alpha0", np.float64),
         ("involute_alpha0", np.float64),
         ("involute_series", np.float64, SERIES_TERMS),  # inv alpha - inv alpha0 in powers of xi
@@ -97,17 +98,17 @@ CONSTANTS = np.dtype(
         ("stiffness", np.float64),  # k_m, N/m
         ("damping", np.float64),  # c1, N s/m
         ("error_mean", np.float64),  # e_m, m
-        ("mass1", np.float64),  # kg
-        ("mass2", np.float64),
-        ("inertia1", np.float64),  # kg m^2
-        ("inertia2", np.float64),
+        ("per_mass1", np.float64),  # 1/kg
+        ("per_mass2", np.float64),
+        ("per_inertia1", np.float64),  # 1/(kg m^2)
+        ("per_inertia2", np.float64),
         ("teeth1", np.float64),
         ("clearance", np.float64, 2),  # b_b, m, of each bearing as all that follow
         ("kelvin_stiffness", np.float64, 2),  # N/m
         ("kelvin_damping", np.float64, 2),  # N s/m
         ("hertz", np.float64, 2),  # k_h sqrt(b_b + delta) of (2), N/m
         ("damping_factor", np.float64, 2),  # a
-        ("oil_clearance", np.float64, 2),  # C, m
+        ("per_oil_clearance", np.float64, 2),  # 1 / C, 1/m
         ("film_factor", np.float64, 2),  # mu (D/2) L^3 / (4 C^2), N s
         ("minimum_impact_speed", np.float64),  # m/s
         ("eccentricity_limit2", np.float64),  # squared
@@ -193,15 +194,16 @@ def film_force(coefficient, w, ex, ey, ux, uy):
     m = math.sqrt(a * a + b * b)
     if m == 0.0:
         return 0.0, 0.0
-    cos_al, sin_al = -a / m, -b / m
-    s = 1.0 - (ex * ex + ey * ey)
-    root = math.sqrt(s)
+    inverse_m = 1.0 / m
+    cos_al, sin_al = -a * inverse_m, -b * inverse_m
+    inverse_root = 1.0 / math.sqrt(1.0 - (ex * ex + ey * ey))
+    inverse_s = inverse_root * inverse_root
     h = ey * cos_al - ex * sin_al
-    g = 2.0 / root * (0.5 * math.pi + math.atan(h / root))
-    v = (2.0 + h * g) / s
+    g = 2.0 * inverse_root * (0.5 * math.pi + math.atan(h * inverse_root))
+    v = (2.0 + h * g) * inverse_s
     c = ex * cos_al + ey * sin_al
     big_s = c / (1.0 - c * c)
-    f = -coefficient * m / s
+    f = -coefficient * m * inverse_s
     return (
         f * (3.0 * ex * v - sin_al * g - 2.0 * cos_al * big_s),
         f * (3.0 * ey * v + cos_al * g - 2.0 * sin_al * big_s),
@@ -212,9 +214,10 @@ def film_force(coefficient, w, ex, ey, ux, uy):
 def evaluate_bearing(constants, gear, w, x, y, vx, vy, latched, flags, points, p):
     """Contact (2)-(6) and film of one bearing into row ``p`` of ``points``; returns the total force on the gear in N."""
     d = math.sqrt(x * x + y * y)
-    nx, ny = 1.0, 0.0
+    nx, ny, inverse_d = 1.0, 0.0, 0.0
     if d > 0.0:
-        nx, ny = x / d, y / d
+        inverse_d = 1.0 / d
+        nx, ny = x * inverse_d, y * inverse_d
     delta = d - constants.clearance[gear]
     closing = vx * nx + vy * ny
     force = 0.0
@@ -228,7 +231,7 @@ def evaluate_bearing(constants, gear, w, x, y, vx, vy, latched, flags, points, p
         else:
             depth = max(delta, 0.0)
             clamp_value = 1.0 + constants.damping_factor[gear] * closing / latched
-            force = constants.hertz[gear] / math.sqrt(d) * depth * math.sqrt(depth) * clamp_value
+            force = constants.hertz[gear] * depth * math.sqrt(depth * inverse_d) * clamp_value
         if flags[CLAMPED + gear] == 1:
             force = 0.0
             clamp_value = -clamp_value
@@ -241,20 +244,21 @@ def evaluate_bearing(constants, gear, w, x, y, vx, vy, latched, flags, points, p
     points[p, RATE + BEARING_GAP + gear] = gap_sign * closing
     points[p, VALUE + BEARING_CLAMP + gear] = clamp_value
     if constants.film:
-        c = constants.oil_clearance[gear]
-        eps2 = d * d / (c * c)
-        margin, margin_rate = constants.eccentricity_limit2 - eps2, -2.0 * d * closing / (c * c)
+        per_c = constants.per_oil_clearance[gear]
+        relative = d * per_c
+        eps2 = relative * relative
+        margin, margin_rate = constants.eccentricity_limit2 - eps2, -2.0 * relative * closing * per_c
         # Before the event is located a trial step may overshoot the limit, yet never the wall.
         bound2 = 0.5 * (1.0 + constants.eccentricity_limit2)
         starved = flags[STARVED + gear] == 1
         if starved:
             bound2 = constants.eccentricity_limit2
             margin, margin_rate = -margin, -margin_rate
-        ex, ey = x / c, y / c
+        ex, ey = x * per_c, y * per_c
         if starved or eps2 > bound2:
             scale = math.sqrt(bound2 / eps2)
             ex, ey = ex * scale, ey * scale
-        film_x, film_y = film_force(constants.film_factor[gear], w, ex, ey, vx / c, vy / c)
+        film_x, film_y = film_force(constants.film_factor[gear], w, ex, ey, vx * per_c, vy * per_c)
         points[p, FILM_X + gear] = film_x
         points[p, FILM_Y + gear] = film_y
         points[p, VALUE + FILM_LIMIT + gear] = margin
@@ -290,8 +294,9 @@ def evaluate(constants, speed, load, states, s, flags, excs, e_row, lag, points,
     wx, wy = vx2 - vx1, vy2 - vy1
     dx = constants.centre_distance + ux
     a2 = dx * dx + uy * uy
-    a = math.sqrt(a2)
-    xi = (ux * (2.0 * constants.centre_distance + ux) + uy * uy) / (r_sum * r_sum)
+    per_a = 1.0 / math.sqrt(a2)
+    per_a2 = per_a * per_a
+    xi = (ux * (2.0 * constants.centre_distance + ux) + uy * uy) * constants.per_radii2
     tan_alpha = math.sqrt(constants.tan2_alpha0 + xi)
     if abs(xi) < SERIES_REACH * constants.tan2_alpha0:
         series = constants.involute_series
@@ -307,14 +312,14 @@ def evaluate(constants, speed, load, states, s, flags, excs, e_row, lag, points,
         beta = slope * (1.0 - s2 * (1.0 / 3.0 - s2 * (0.2 - s2 * (1.0 / 7.0 - s2 * (1.0 / 9.0)))))
     else:
         beta = math.atan2(uy, dx)
-    cos_beta, sin_beta = dx / a, uy / a
-    cos_alpha = r_sum / a
+    cos_beta, sin_beta = dx * per_a, uy * per_a
+    cos_alpha = r_sum * per_a
     sin_alpha = cos_alpha * tan_alpha
     sin_gamma = sin_alpha * cos_beta - cos_alpha * sin_beta
     cos_gamma = cos_alpha * cos_beta + sin_alpha * sin_beta
 
-    a_rate_over_a = (dx * wx + uy * wy) / a2
-    beta_rate = (dx * wy - uy * wx) / a2
+    a_rate_over_a = (dx * wx + uy * wy) * per_a2
+    beta_rate = (dx * wy - uy * wx) * per_a2
     b1 = r_sum * involute + constants.half_backlash - 0.5 * z
     b1_rate = r_sum * tan_alpha * a_rate_over_a - 0.5 * z_rate
 
@@ -370,12 +375,12 @@ def evaluate(constants, speed, load, states, s, flags, excs, e_row, lag, points,
         load_torque = load * math.tanh(omega2)
     load_torque += constants.load_viscous * omega2
 
-    points[p, AX1] = (f1x - force * along_x) / constants.mass1
-    points[p, AY1] = (f1y - force * along_y) / constants.mass1
-    points[p, AX2] = (f2x + force * along_x) / constants.mass2
-    points[p, AY2] = (f2y + force * along_y) / constants.mass2
-    points[p, ALPHA1] = (states[s, DRIVE_TORQUE] - force * rb1) / constants.inertia1
-    points[p, ALPHA2] = (force * rb2 - load_torque) / constants.inertia2
+    points[p, AX1] = (f1x - force * along_x) * constants.per_mass1
+    points[p, AY1] = (f1y - force * along_y) * constants.per_mass1
+    points[p, AX2] = (f2x + force * along_x) * constants.per_mass2
+    points[p, AY2] = (f2y + force * along_y) * constants.per_mass2
+    points[p, ALPHA1] = (states[s, DRIVE_TORQUE] - force * rb1) * constants.per_inertia1
+    points[p, ALPHA2] = (force * rb2 - load_torque) * constants.per_inertia2
     points[p, VALUE + UPPER_GAP] = upper
     points[p, RATE + UPPER_GAP] = upper_rate
     points[p, VALUE + LOWER_GAP] = lower
