@@ -1,14 +1,14 @@
 """What can be set: one table of parameters with type, unit, bounds and help, and its way from and to YAML.
 
-Every leaf is declared once, through ``spec``. A ``Parameters`` object is always valid: building one checks each value
-against its bounds and the values against each other. SI units throughout.
+Every leaf is declared once, through ``spec``. A ``Parameters`` object is always valid: building one checks
+each value against its bounds and the values against each other. SI units throughout.
 """
 
 from __future__ import annotations
 
 import difflib
-import json
 import math
+import operator
 import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -17,20 +17,21 @@ from fractions import Fraction
 from functools import cache
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias, get_type_hints
-
-import yaml
+from typing import Any, NamedTuple, TypeAlias
 
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.physics.surface import LARGEST_ORDER
+from gear_dynamics_ros.ros_yaml import SMALLEST_NORMAL, Tree, parse_yaml, resolve, scalar_text
 from gear_dynamics_ros.signals import CHANNEL_NAMES
 
 Value: TypeAlias = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
 
-SECTIONS = ("/**", "gearbox", "/gearbox")  # in the order in which they override one another
+NODE = "/gearbox"
+OF_ROS = re.compile(
+    r"use_sim_time|start_type_description_service|qos_overrides\..*"
+)  # every ROS node has these
 MOST_HARMONICS = 32
 MOST_SAMPLES_PER_CHUNK = 1_000_000
-SMALLEST_NORMAL = sys.float_info.min  # below it strtod reports an underflow and rcl reads a string
 NANOSECONDS = 10**9
 
 
@@ -38,8 +39,8 @@ class Specification(NamedTuple):
     """One row of the table of parameters. Bounds are inclusive unless marked; None is no bound."""
 
     name: str  # dotted
-    type: type  # bool, int, float, str or tuple
-    element: type  # type of the entries of a tuple, otherwise ``type``
+    element: type[Any]  # type of the entries of a tuple, otherwise ``type``
+    type: type[Any]  # bool, int, float, str or tuple
     default: Value
     unit: str
     help: str
@@ -124,7 +125,9 @@ class Gears:
         maximum=math.pi / 3.0,
         exclusive_maximum=True,
     )
-    backlash: float = _positive(50.0e-6, "total backlash 2 b_0 along the line of action", unit="m", maximum=0.1)
+    backlash: float = _positive(
+        50.0e-6, "total backlash 2 b_0 along the line of action", unit="m", maximum=0.1
+    )
     driving: Gear = field(default_factory=Gear)
     driven: Gear = field(default_factory=Gear)
 
@@ -133,7 +136,9 @@ class Gears:
 class Mesh:
     stiffness: float = _positive(3.0e8, "mean mesh stiffness k_m", unit="N/m", maximum=1e13)
     stiffness_cos: tuple[float, ...] = _harmonics(
-        0.08, "cosine part of the stiffness at 1, 2, ... times mesh frequency, relative to the mean", limit=1.0
+        0.08,
+        "cosine part of the stiffness at 1, 2, ... times mesh frequency, relative to the mean",
+        limit=1.0,
     )
     stiffness_sin: tuple[float, ...] = _harmonics(
         0.0, "sine part of the stiffness, relative to the mean; a missing harmonic is 0", limit=1.0
@@ -141,7 +146,10 @@ class Mesh:
     damping_ratio: float = spec(0.1, "damping ratio xi_2 of the mesh", minimum=0.0, maximum=10.0)
     error_mean: float = spec(0.0, "mean static transmission error e_m", unit="m", minimum=-0.1, maximum=0.1)
     error_cos: tuple[float, ...] = _harmonics(
-        9.2e-6, "cosine part of the static transmission error at 1, 2, ... times mesh frequency", unit="m", limit=0.1
+        9.2e-6,
+        "cosine part of the static transmission error at 1, 2, ... times mesh frequency",
+        unit="m",
+        limit=0.1,
     )
     error_sin: tuple[float, ...] = _harmonics(
         0.0, "sine part of the static transmission error; a missing harmonic is 0", unit="m", limit=0.1
@@ -150,7 +158,9 @@ class Mesh:
 
 @dataclass(frozen=True, slots=True)
 class ToothSurface:
-    roughness: float = spec(0.8e-6, "mean roughness Ra; 0 is a smooth tooth", unit="m", minimum=0.0, maximum=1e-2)
+    roughness: float = spec(
+        0.8e-6, "mean roughness Ra; 0 is a smooth tooth", unit="m", minimum=0.0, maximum=1e-2
+    )
     fractal_dimension: float = spec(
         1.1,
         "fractal dimension D of the profile",
@@ -230,7 +240,9 @@ class Governor:
 @dataclass(frozen=True, slots=True)
 class Operation:
     control: str = spec(
-        "speed", "who sets the drive torque: the command or a PI governor of the speed", choices=("torque", "speed")
+        "speed",
+        "who sets the drive torque: the command or a PI governor of the speed",
+        choices=("torque", "speed"),
     )
     speed: float = spec(
         1623.156,
@@ -254,8 +266,11 @@ class Operation:
     speed_limit: float = _positive(5000.0, "speed that trips the run", unit="rad/s", maximum=1e6)
     governor: Governor = field(default_factory=Governor)
     command_timeout: float = spec(
-        0.0, "age of the last command, in wall time, that triggers on_timeout; 0 is never", unit="s",
-        minimum=0.0, maximum=1e9,
+        0.0,
+        "age of the last command, in wall time, that triggers on_timeout; 0 is never",
+        unit="s",
+        minimum=0.0,
+        maximum=1e9,
     )
     on_timeout: str = spec(
         "hold", "hold the last commands, or release: both torques to 0", choices=("hold", "release")
@@ -341,7 +356,9 @@ class Parameters:
         choices=("traditional", "compared", "improved"),
     )
     mesh_geometry: str = spec(
-        "exact", "transmission error of displaced centres: as printed, or exact", choices=("published", "exact")
+        "exact",
+        "transmission error of displaced centres: as printed, or exact",
+        choices=("published", "exact"),
     )
     mesh_damping: str = spec(
         "contact", "mesh damping: also in free flight, or in contact only", choices=("always", "contact")
@@ -381,13 +398,16 @@ class Parameters:
     def from_flat(cls, values: Mapping[str, object]) -> Parameters:
         """Parameters from dotted names; what is missing has its default.
 
-        Integers are welcome where floats are meant, and any sequence for a tuple. Raises UsageError if a name is
-        unknown or a value can't be.
+        Integers are welcome where floats are meant, and any sequence where a tuple is. Names that every ROS
+        node has, such as use_sim_time, are passed over. Raises UsageError if a name is unknown or a value
+        can't be.
         """
-        for name in values:
-            if name not in specifications():
+        converted: dict[str, Value] = {}
+        for name, value in values.items():
+            if name in specifications():
+                converted[name] = _convert(specifications()[name], value)
+            elif not OF_ROS.fullmatch(name):
                 raise UsageError(_unknown(name))
-        converted = {name: _convert(specifications()[name], value) for name, value in values.items()}
         return cls(**_arguments(cls, "", converted))
 
     def to_flat(self) -> dict[str, Value]:
@@ -402,21 +422,17 @@ def specifications() -> Mapping[str, Specification]:
 
 
 def load(path: str | Path, overrides: Iterable[str] = ()) -> Parameters:
-    """Parameters from a ROS parameter file, then from overrides ``name=value`` in its syntax.
+    """Parameters from a ROS parameter file, and from settings ``name=value`` that override it.
 
-    Text is read as rcl reads it. Sections of other nodes are left alone. Raises UsageError if the file can't be read
-    or holds what can't be meant.
+    Both are read as rcl reads them. Sections of other nodes are left alone. Raises UsageError if the file
+    can't be read or what it and the settings make together can't be.
     """
-    values: dict[str, object] = {}
+    settings = [_read_override(override) for override in overrides]
     try:
-        values.update(_read_sections(_compose(_read_text(Path(path)))))
-        Parameters.from_flat(values)
+        return Parameters.from_flat({**_read_file(_read_text(Path(path))), **dict(settings)})
     except UsageError as error:
-        raise UsageError(f"{path}: {error}") from None
-    for override in overrides:
-        name, value = _read_override(override)
-        values[name] = value
-    return Parameters.from_flat(values)
+        source = " with ".join([str(path), *(name for name, _ in settings)])
+        raise UsageError(f"{source}: {error}") from None
 
 
 def dump(parameters: Parameters) -> str:
@@ -439,8 +455,8 @@ def reference() -> str:
     lines = [
         "# Parameters",
         "",
-        "One tree for the node and all tools, in SI units; see `config/gearbox.yaml` for it as a file. Bounds are",
-        "inclusive unless written with < or >. Generated by `python -m gear_dynamics_ros.parameters`.",
+        "One tree for the node and all tools, in SI units; `config/gearbox.yaml` is the same tree as a file.",
+        "Written by `python -m gear_dynamics_ros.parameters > docs/parameters.md`.",
         "",
         "| name | type | default | unit | allowed | at run time | meaning |",
         "| --- | --- | --- | --- | --- | --- | --- |",
@@ -452,42 +468,43 @@ def reference() -> str:
         else:
             default, allowed = f"`{_text(row.default)}`", row.limits
         runtime = "yes" if row.runtime else ""
-        lines.append(f"| `{row.name}` | {kind} | {default} | {row.unit} | {allowed} | {runtime} | {row.help} |")
+        lines.append(
+            f"| `{row.name}` | {kind} | {default} | {row.unit} | {allowed} | {runtime} | {row.help} |"
+        )
     return "\n".join(lines) + "\n"
 
 
 # The tree of dataclasses
 
 
-@cache
-def _members(group: type) -> tuple[tuple[str, Specification | type], ...]:
-    """Name of each field, and its row if it is a leaf or its class if it is a group."""
-    hints = get_type_hints(group)
-    return tuple((f.name, f.metadata.get("specification") or hints[f.name]) for f in fields(group))
+def _members(group: Any) -> Iterator[tuple[str, Specification | None, Any]]:
+    """Name of each field of a group (a class or an object), its row if a leaf, its class if not."""
+    for member in fields(group):
+        yield member.name, member.metadata.get("specification"), member.default_factory
 
 
-def _rows(group: type, prefix: str) -> Iterator[tuple[str, Specification]]:
-    for name, member in _members(group):
-        if isinstance(member, Specification):
-            yield prefix + name, member._replace(name=prefix + name)
+def _rows(group: type[Any], prefix: str) -> Iterator[tuple[str, Specification]]:
+    for name, row, subgroup in _members(group):
+        if row is None:
+            yield from _rows(subgroup, f"{prefix}{name}.")
         else:
-            yield from _rows(member, f"{prefix}{name}.")
+            yield prefix + name, row._replace(name=prefix + name)
 
 
-def _leaves(node: Any, prefix: str) -> Iterator[tuple[str, Value]]:
-    for name, member in _members(type(node)):
-        if isinstance(member, Specification):
-            yield prefix + name, getattr(node, name)
+def _leaves(group: Any, prefix: str) -> Iterator[tuple[str, Value]]:
+    for name, row, _ in _members(group):
+        if row is None:
+            yield from _leaves(getattr(group, name), f"{prefix}{name}.")
         else:
-            yield from _leaves(getattr(node, name), f"{prefix}{name}.")
+            yield prefix + name, getattr(group, name)
 
 
-def _arguments(group: type, prefix: str, values: Mapping[str, Value]) -> dict[str, Any]:
+def _arguments(group: type[Any], prefix: str, values: Mapping[str, Value]) -> dict[str, Any]:
     """What ``group`` is built from, as far as ``values`` name it."""
     arguments: dict[str, Any] = {}
-    for name, member in _members(group):
-        if not isinstance(member, Specification):
-            arguments[name] = member(**_arguments(member, f"{prefix}{name}.", values))
+    for name, row, subgroup in _members(group):
+        if row is None:
+            arguments[name] = subgroup(**_arguments(subgroup, f"{prefix}{name}.", values))
         elif prefix + name in values:
             arguments[name] = values[prefix + name]
     return arguments
@@ -495,40 +512,48 @@ def _arguments(group: type, prefix: str, values: Mapping[str, Value]) -> dict[st
 
 def _unknown(name: str) -> str:
     names = specifications()
-    if any(known.startswith(f"{name}.") for known in names):
-        return f"{name} is a group, not a parameter: set what is in it, e.g. " + next(
-            known for known in names if known.startswith(f"{name}.")
-        )
+    inside = [known for known in names if known.startswith(f"{name}.")]
+    if inside:
+        return f"{name} is a group, not a parameter: set what is in it, such as {inside[0]}"
+    leaf = name.rsplit(".", 1)[-1]
     close = difflib.get_close_matches(name, names, n=1)
-    leaves = [known for known in names if known.rsplit(".", 1)[-1] == name.rsplit(".", 1)[-1]]
-    hint = (close or leaves or [""])[0]
-    return f"unknown parameter {name}" + (f", did you mean {hint}?" if hint else "; docs/parameters.md lists all")
+    alike = [known for known in names if known.rsplit(".", 1)[-1] == leaf]
+    hint = f"did you mean {(close or alike)[0]}?" if close or alike else "docs/parameters.md lists them all"
+    return f"there is no parameter {name}: {hint}"
 
 
 # Single values
 
-_WORDS = {bool: "true or false", int: "an integer", float: "a number", str: "text"}
+_WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
 
 
 def _convert(row: Specification, value: object) -> Value:
-    """``value`` in the type of the row; raises UsageError where only a change of meaning would do it."""
+    """``value`` in the type of the row; raises UsageError where that would change its meaning."""
     if row.type is not tuple:
-        return _convert_scalar(row, value)
-    if isinstance(value, str | bytes) or not isinstance(value, Sequence) and not hasattr(value, "tolist"):
+        converted: Value = _convert_scalar(row, value)
+        return converted
+    if isinstance(value, str | bytes) or not isinstance(value, Iterable):
         raise UsageError(f"{row.name} = {_show(value)} must be a list, each entry {_WORDS[row.element]}")
-    entries = value if isinstance(value, Sequence) else value.tolist()
-    return tuple(_convert_scalar(row, entry) for entry in entries)
+    return tuple(_convert_scalar(row, entry) for entry in value)
 
 
 def _convert_scalar(row: Specification, value: object) -> Any:
-    if row.element is float and isinstance(value, int) and not isinstance(value, bool):
-        try:
-            return float(value)
-        except OverflowError:
-            raise UsageError(f"{row.name} = {value:.4g} is beyond every float; {_allowed(row)}") from None
+    if row.element is float and isinstance(value, float):
+        return float(value)
+    if row.element in (int, float) and hasattr(value, "__index__") and not isinstance(value, bool):
+        return _from_integer(row, operator.index(value))
     if type(value) is not row.element:
         raise UsageError(f"{row.name} = {_show(value)} must be {_WORDS[row.element]}{_type_hint(row, value)}")
     return value
+
+
+def _from_integer(row: Specification, value: int) -> int | float:
+    if row.element is int:
+        return value
+    try:
+        return float(value)
+    except OverflowError:
+        raise UsageError(f"{row.name} has {value.bit_length()} bits: {_allowed(row)}") from None
 
 
 def _type_hint(row: Specification, value: object) -> str:
@@ -538,13 +563,15 @@ def _type_hint(row: Specification, value: object) -> str:
         return ": put it in quotes"
     if row.element is int and isinstance(value, float) and value.is_integer():
         return f": write {int(value)}"
-    if isinstance(value, str) and _resolve(value) != value:
+    if isinstance(value, str) and not isinstance(resolve(value), str):
         return ": take it out of its quotes"
     return ""
 
 
 def _show(value: object) -> str:
-    return f"'{value}'" if isinstance(value, str) else _text(value) if isinstance(value, bool | float) else f"{value}"
+    if isinstance(value, str):
+        return repr(value)
+    return scalar_text(value) if isinstance(value, bool | float) else str(value)
 
 
 def _allowed(row: Specification) -> str:
@@ -552,28 +579,27 @@ def _allowed(row: Specification) -> str:
 
 
 def _check_value(row: Specification, value: Value) -> None:
-    if not isinstance(value, tuple):
-        _check_scalar(row, row.name, value)
-        return
-    fewest, most = row.length or (0, sys.maxsize)
-    if not fewest <= len(value) <= most:
-        raise UsageError(f"{row.name} has {len(value)} entries; it must have {fewest} to {most}")
-    for index, entry in enumerate(value):
-        _check_scalar(row, f"{row.name}[{index}]", entry)
+    entries = value if isinstance(value, tuple) else (value,)
+    _convert(row, value)
+    if any(type(entry) is not row.element for entry in entries):
+        raise UsageError(f"{row.name} = {_show(value)} must be {_WORDS[row.element]}: build it by from_flat")
+    fewest, most = row.length or (1, 1)
+    if not fewest <= len(entries) <= most:
+        raise UsageError(f"{row.name} has {len(entries)} entries: it must have {fewest} to {most}")
+    for index, entry in enumerate(entries):
+        _check_scalar(row, f"{row.name}[{index}]" if row.length else row.name, entry)
 
 
-def _check_scalar(row: Specification, name: str, value: Value) -> None:
+def _check_scalar(row: Specification, name: str, value: bool | int | float | str) -> None:
     if isinstance(value, str):
         if row.choices and value not in row.choices:
             close = difflib.get_close_matches(value, row.choices, n=1)
             hint = f"did you mean {close[0]}? " if close else ""
-            raise UsageError(f"{name} = '{value}': {hint}it must be {row.limits}")
+            raise UsageError(f"{name} = {value!r}: {hint}it must be {row.limits}")
         if not value.isprintable():
             raise UsageError(f"{name} = {value!r} holds characters that can't be printed: leave them out")
         return
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return
-    if not math.isfinite(value) or _outside(row, value):
+    if _outside(row, value) or not math.isfinite(value):
         raise UsageError(f"{name} = {_text(value)} is out of range: {_allowed(row)}")
     if 0.0 < abs(value) < SMALLEST_NORMAL:
         raise UsageError(f"{name} = {_text(value)} is closer to 0 than {SMALLEST_NORMAL:.4g}: write 0.0")
@@ -592,7 +618,7 @@ def _outside(row: Specification, value: float) -> bool:
 def _check(parameters: Parameters) -> None:
     for name, value in _leaves(parameters, ""):
         row = specifications()[name]
-        _check_value(row, _convert(row, value))
+        _check_value(row, value)
     _check_bearings(parameters.bearings)
     _check_mesh(parameters.mesh)
     _check_surface(parameters)
@@ -606,16 +632,18 @@ def _check_bearings(bearings: Bearings) -> None:
         if bearing.oil_clearance <= bearing.clearance:
             raise UsageError(
                 f"bearings.{side}.oil_clearance = {_text(bearing.oil_clearance)} m must be larger than "
-                f"bearings.{side}.clearance = {_text(bearing.clearance)} m: contact begins inside the oil film"
+                f"bearings.{side}.clearance = {_text(bearing.clearance)} m: contact is inside the film"
             )
 
 
 def _check_mesh(mesh: Mesh) -> None:
-    swing = sum(math.hypot(a, b) for a, b in zip_longest(mesh.stiffness_cos, mesh.stiffness_sin, fillvalue=0.0))
+    swing = sum(
+        math.hypot(a, b) for a, b in zip_longest(mesh.stiffness_cos, mesh.stiffness_sin, fillvalue=0.0)
+    )
     if swing >= 1.0:
         raise UsageError(
-            f"mesh.stiffness_cos and mesh.stiffness_sin have amplitudes that sum up to {swing:.6g}; it must be "
-            "< 1 for the stiffness to stay positive: lower them"
+            f"mesh.stiffness_cos and mesh.stiffness_sin have amplitudes of {swing:.6g} in all; "
+            "it must be < 1 for the stiffness to stay positive: lower them"
         )
 
 
@@ -640,8 +668,8 @@ def _check_operation(parameters: Parameters) -> None:
         )
     if operation.initial == "rest" and parameters.mesh_phase == "nominal":
         raise UsageError(
-            "operation.initial = 'rest' can't be with mesh_phase = 'nominal', whose phase runs at the set-point: "
-            "take 'touching' or 'actual'"
+            "operation.initial = 'rest' can't be with mesh_phase = 'nominal', whose phase runs at the set-point "
+            "from the start: take 'touching' or 'actual'"
         )
 
 
@@ -649,7 +677,10 @@ def _check_solver(solver: Solver) -> None:
     interval = _decimal(solver.sample_interval)
     _check_multiple("solver.sample_interval", solver.sample_interval, Fraction(1, NANOSECONDS), "nanoseconds")
     _check_multiple(
-        "solver.sample_interval", solver.sample_interval, _decimal(solver.step), f"steps of {_text(solver.step)} s"
+        "solver.sample_interval",
+        solver.sample_interval,
+        _decimal(solver.step),
+        f"steps of {_text(solver.step)} s",
     )
     _check_multiple("solver.chunk", solver.chunk, interval, f"samples of {_text(solver.sample_interval)} s")
     if solver.samples_per_chunk > MOST_SAMPLES_PER_CHUNK:
@@ -665,7 +696,8 @@ def _check_multiple(name: str, value: float, unit: Fraction, units: str) -> None
         below = max(1, math.floor(ratio))
         nearest = " or ".join(_text(float(count * unit)) for count in (below, below + 1))
         raise UsageError(
-            f"{name} = {_text(value)} s is {float(ratio):.9g} {units}; it must be a whole number: take {nearest} s"
+            f"{name} = {_text(value)} s is {float(ratio):.9g} {units}; it must be a whole number: "
+            f"take {nearest} s"
         )
 
 
@@ -680,9 +712,7 @@ def _check_outputs(parameters: Parameters) -> None:
     if rerun.mode == "save" and not rerun.path:
         raise UsageError("rerun.path is empty but rerun.mode = 'save' needs a file: name one")
     if rerun.mode == "connect" and not rerun.url.startswith("rerun"):
-        raise UsageError(
-            f"rerun.url = '{rerun.url}' must be a Rerun address such as {specifications()['rerun.url'].default}"
-        )
+        raise UsageError(f"rerun.url = '{rerun.url}' must be a Rerun address, such as {Rerun().url}")
 
 
 def _decimal(value: float) -> Fraction:
@@ -694,198 +724,99 @@ def _whole(value: float, unit: Fraction) -> int:
     return int(_decimal(value) / unit)
 
 
-# YAML as rcl_yaml_param_parser reads it
-
-_TRUE = frozenset("Y y yes Yes YES true True TRUE on On ON".split())
-_FALSE = frozenset("N n no No NO false False FALSE off Off OFF".split())
-_INTEGER = re.compile(r"\s*[+-]?(0[xX][0-9a-fA-F]+|[0-9]+)")
-_DECIMAL = re.compile(r"\s*[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
-_HEXADECIMAL = re.compile(r"\s*[+-]?0[xX]([0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)([pP][+-]?[0-9]+)?")
-_SPECIAL = re.compile(r"[+-]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)|\s*[+-]?(inf|infinity|nan)", re.IGNORECASE)
-_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+# Parameter files
 
 
-def _resolve(text: str) -> bool | int | float | str:
-    """A plain scalar as rcl takes it: its list of booleans, then C's strtol of any base, then strtod, else text."""
-    if text in _TRUE or text in _FALSE:
-        return text in _TRUE
-    if _INTEGER.fullmatch(text):
-        integer = _integer(text)
-        if integer is not None:
-            return integer
-    number = _float(text)
-    return text if number is None else number
+def _read_sections(tree: Tree, node: str = "") -> Iterator[tuple[str, dict[str, Tree]]]:
+    """Name and parameters of each node in the file, in its order; nodes may stand inside namespaces."""
+    if not isinstance(tree, dict):
+        raise UsageError(f"{node or 'it'} must hold ros__parameters, or nodes that hold them")
+    if "ros__parameters" in tree:
+        parameters = tree["ros__parameters"]
+        if len(tree) > 1 or not isinstance(parameters, dict):
+            raise UsageError(f"{node or 'it'} must hold ros__parameters, a mapping of names to values, alone")
+        yield node, parameters
+        return
+    for key, child in tree.items():
+        yield from _read_sections(child, f"{node}/{key.strip('/')}".replace("//", "/"))
 
 
-def _integer(text: str) -> int | None:
-    """strtol with base 0; None if it stops early (09) or overflows, which leaves the text to strtod."""
-    digits = text.strip().lstrip("+-")
-    base = 16 if digits[:2] in ("0x", "0X") else 8 if digits.startswith("0") else 10
+def _concerns(section: str) -> bool:
+    """Whether a section of this name is for the node /gearbox, by the wildcards of rcl."""
+    pattern = {"**": r"(/\w+)*", "*": r"/\w+"}
+    tokens = [pattern.get(token, re.escape(f"/{token}")) for token in section.split("/") if token]
+    return re.fullmatch("".join(tokens), NODE) is not None
+
+
+def _read_file(text: str) -> dict[str, Tree]:
+    """Values by dotted name. A later section overrides an earlier one, as in rcl."""
+    sections = [parameters for node, parameters in _read_sections(parse_yaml(text)) if _concerns(node)]
+    if not sections:
+        raise UsageError(f"it has no section for {NODE}: put ros__parameters under /** or {NODE}")
+    values: dict[str, Tree] = {}
+    for parameters in sections:
+        values.update(_flatten(parameters, ""))
+    return values
+
+
+def _flatten(tree: dict[str, Tree], prefix: str) -> dict[str, Tree]:
+    values: dict[str, Tree] = {}
+    for key, child in tree.items():
+        name = prefix + key
+        found = _flatten(child, f"{name}.") if isinstance(child, dict) else {name: _single(name, child)}
+        for twice in values.keys() & found.keys():
+            raise UsageError(f"{twice} stands twice in one section: leave one")
+        values.update(found)
+    if not tree and prefix:
+        raise UsageError(f"{prefix[:-1]} is an empty mapping: leave it out")
+    return values
+
+
+def _single(name: str, value: Tree) -> Tree:
+    """``value`` if rcl takes it for a parameter's: a scalar or a list of scalars of one type."""
+    if isinstance(value, list):
+        if any(isinstance(entry, list | dict) for entry in value):
+            raise UsageError(f"{name} is a list of lists or mappings: write a list of single values")
+        if len({type(entry) for entry in value}) > 1:
+            raise UsageError(
+                f"{name} mixes types, which ROS refuses: write all its numbers with a decimal point"
+            )
+    elif isinstance(value, dict):
+        raise UsageError(f"{name} is a mapping: write a single value or a list")
+    return value
+
+
+def _read_override(override: str) -> tuple[str, Tree]:
+    name, separator, text = override.partition("=")
+    if not separator or not name:
+        raise UsageError(f"{override!r} is no setting: write name=value")
+    if name not in specifications():
+        raise UsageError(_unknown(name))
+    if not text.strip():
+        raise UsageError(f"{name} has no value: write {name}=value, with '' for empty text")
     try:
-        value = int(digits, base) if base != 8 else int("0" + digits, 8)
-    except ValueError:
-        return None
-    value = -value if text.strip().startswith("-") else value
-    return value if -(2**63) <= value < 2**63 else None
-
-
-def _float(text: str) -> float | None:
-    """strtod; None if it does not take the whole text, overflows or underflows, which leave a string."""
-    if _SPECIAL.fullmatch(text):
-        return float(text.replace(".", "", 1))
-    try:
-        if _DECIMAL.fullmatch(text):
-            value, digits = float(text), re.split("[eE]", text)[0]
-        elif _HEXADECIMAL.fullmatch(text):
-            value, digits = float.fromhex(text), re.split("[pP]", text)[0][2:]
-        else:
-            return None
-    except OverflowError:
-        return None
-    lost = math.isinf(value) or (abs(value) < SMALLEST_NORMAL and re.search("[1-9a-fA-F]", digits) is not None)
-    return None if lost else value
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML nodes without aliases, which rcl refuses."""
-
-    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        if self.check_event(yaml.AliasEvent):
-            event = self.peek_event()
-            raise UsageError(f"line {event.start_mark.line + 1}: ROS takes no YAML aliases (*{event.anchor})")
-        return super().compose_node(parent, index)
-
-
-def _compose(text: str) -> yaml.Node:
-    try:
-        loader = _Loader(text)
-        try:
-            node = loader.get_single_node()
-        finally:
-            loader.dispose()
-    except yaml.MarkedYAMLError as error:
-        line = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
-        raise UsageError(f"{line}no valid YAML: {error.problem}") from None
-    except yaml.YAMLError as error:
-        raise UsageError("no valid YAML: " + " ".join(str(error).split())) from None
-    if node is None:
-        raise UsageError("it is empty")
-    return node
+        return name, _single(name, parse_yaml(text))
+    except UsageError as error:
+        raise UsageError(f"{override!r}: {error}") from None
 
 
 def _read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except OSError as error:
-        raise UsageError(f"can't be read: {error.strerror}") from None
+        raise UsageError(f"it can't be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
-        raise UsageError(f"is no UTF-8 text: {error.reason} at byte {error.start}") from None
-
-
-def _line(node: yaml.Node) -> str:
-    return f"line {node.start_mark.line + 1}"
-
-
-def _entries(node: yaml.Node, what: str) -> dict[str, yaml.Node]:
-    if not isinstance(node, yaml.MappingNode):
-        raise UsageError(f"{_line(node)}: {what} must be a mapping of names to values")
-    entries: dict[str, yaml.Node] = {}
-    for key, value in node.value:
-        if not isinstance(key, yaml.ScalarNode):
-            raise UsageError(f"{_line(key)}: a name must be text")
-        if key.value in entries:
-            raise UsageError(f"{_line(key)}: {key.value} stands twice in {what}: leave one")
-        entries[key.value] = value
-    return entries
-
-
-def _read_sections(document: yaml.Node) -> dict[str, object]:
-    sections = _entries(document, "the file")
-    present = [name for name in SECTIONS if name in sections]
-    if not present:
-        raise UsageError(f"none of the sections {', '.join(SECTIONS)} is in it: put ros__parameters under one")
-    values: dict[str, object] = {}
-    for name in present:
-        section = _entries(sections[name], name)
-        if list(section) != ["ros__parameters"]:
-            raise UsageError(f"{_line(sections[name])}: {name} must hold ros__parameters and nothing else")
-        values.update(_flatten(section["ros__parameters"], f"ros__parameters of {name}"))
-    return values
-
-
-def _flatten(node: yaml.Node, what: str, prefix: str = "") -> dict[str, object]:
-    values: dict[str, object] = {}
-    for key, child in _entries(node, what).items():
-        name = prefix + key
-        if isinstance(child, yaml.MappingNode):
-            found = _flatten(child, name, f"{name}.")
-        else:
-            found = {name: _value(child, name)}
-        for twice in values.keys() & found.keys():
-            raise UsageError(f"{_line(child)}: {twice} stands twice in {what}: leave one")
-        values.update(found)
-    return values
-
-
-def _value(node: yaml.Node, name: str) -> object:
-    if isinstance(node, yaml.ScalarNode):
-        return _scalar(node, name)
-    if not isinstance(node, yaml.SequenceNode) or any(not isinstance(n, yaml.ScalarNode) for n in node.value):
-        raise UsageError(f"{_line(node)}: {name} must be a single value or a list of them")
-    entries = [_scalar(entry, name) for entry in node.value]
-    if len({type(entry) for entry in entries}) > 1:
-        raise UsageError(
-            f"{_line(node)}: {name} mixes types, which ROS refuses: write every number with a decimal point"
-        )
-    return entries
-
-
-def _scalar(node: yaml.ScalarNode, name: str) -> bool | int | float | str:
-    text = str(node.value)
-    if node.style in ("'", '"'):
-        return text
-    if not text:
-        raise UsageError(f"{_line(node)}: {name} has no value: give one, '' for empty text")
-    return _resolve(text)
-
-
-def _read_override(override: str) -> tuple[str, object]:
-    name, separator, text = override.partition("=")
-    if not separator or not name:
-        raise UsageError(f"'{override}' is no setting: write name=value")
-    if not text.strip():
-        raise UsageError(f"{name} has no value: write {name}=VALUE, {name}='\"\"' for empty text")
-    if name not in specifications():
-        raise UsageError(_unknown(name))
-    try:
-        return name, _value(_compose(text), name)
-    except UsageError as error:
-        raise UsageError(f"'{override}': {error}") from None
+        raise UsageError(f"it is no UTF-8 text: {error.reason} at byte {error.start}") from None
 
 
 def _indent(depth: int) -> str:
     return "  " * (depth + 2)
 
 
-def _text(value: object) -> str:
-    """A value in YAML that rcl, ``load`` and plain YAML 1.1 readers take for the same."""
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_text(entry) for entry in value) + "]"
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, float):
-        return _float_text(value)
-    if isinstance(value, str):
-        plain = _WORD.fullmatch(value) and _resolve(value) == value and value not in ("null", "Null", "NULL")
-        return value if plain else json.dumps(value, ensure_ascii=False)
-    return str(value)
-
-
-def _float_text(value: float) -> str:
-    if not math.isfinite(value):
-        return ".nan" if math.isnan(value) else ".inf" if value > 0.0 else "-.inf"
-    digits, exponent, power = repr(value).partition("e")
-    return digits + ("" if "." in digits else ".0") + exponent + power
+def _text(value: Value) -> str:
+    if isinstance(value, tuple):
+        return "[" + ", ".join(scalar_text(entry) for entry in value) + "]"
+    return scalar_text(value)
 
 
 if __name__ == "__main__":
