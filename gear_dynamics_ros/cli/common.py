@@ -29,3 +29,26 @@ def guarded(
     except KeyboardInterrupt:
         print(f"{parser.prog}: interrupted", file=sys.stderr)
         return INTERRUPTED
+
+
+class Progress:
+    """A line of progress on stderr while a terminal watches; silent otherwise."""
+
+    def __init__(self, verb: str, total: int) -> None:
+        self._verb = verb
+        self._total = max(total, 1)
+        self._shown = sys.stderr.isatty()
+        self._percent = -1
+
+    def __call__(self, done: int) -> None:
+        percent = 100 * done // self._total
+        if self._shown and percent != self._percent:
+            self._percent = percent
+            print(f"\r{self._verb} {percent:3d} %", end="", file=sys.stderr, flush=True)
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._percent >= 0:
+            print("\r" + " " * (len(self._verb) + 8) + "\r", end="", file=sys.stderr, flush=True)
