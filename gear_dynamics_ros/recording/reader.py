@@ -171,12 +171,15 @@ class Recording:
                 return
 
     def waveform(self, first: int | None = None, last: int | None = None) -> NDArray[np.float64]:
-        """Samples ``first`` to before ``last``, shape (n, channels), as far as the recording holds them."""
+        """Samples ``first`` to before ``last``, shape (n, channels), as far as the recording holds them.
+
+        Raises GearboxError where samples are missing or doubled.
+        """
         begin = self.first_sample if first is None else max(first, self.first_sample)
         end = self.end_sample if last is None else min(last, self.end_sample)
         rows = np.empty((max(end - begin, 0), len(self.channel_names)))
         if len(rows):
-            for at, samples in self.chunks(begin, end):
+            for at, samples in self.chunks(begin, None if last is None else end):
                 rows[at - begin : at - begin + len(samples)] = samples
         return rows
 

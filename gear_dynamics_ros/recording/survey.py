@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO, Final, TypeVar
+from typing import Any, BinaryIO, Final, Protocol, TypeVar
 
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import McapError
@@ -36,6 +36,10 @@ from gear_dynamics_ros.errors import GearboxError
 
 _HEAD: Final = struct.Struct("<BQ")
 T = TypeVar("T")
+
+
+class _Written(Protocol):
+    def write(self, stream: RecordBuilder) -> None: ...
 
 
 @dataclass
@@ -238,28 +242,16 @@ def _index_last(found: Survey, chunk: Chunk, name: str) -> None:
 def _ending(found: Survey) -> bytes:
     """Everything after the last whole record of data."""
     summary_start = found.end + sum(map(_length, found.unindexed)) + _length(DataEnd(0))
-    summary = RecordBuilder()
-    groups: tuple[
-        Iterable[Schema | Channel | Statistics | ChunkIndex | AttachmentIndex | MetadataIndex], ...
-    ] = (
-        found.schemas.values(),
-        found.channels.values(),
-        (_statistics(found),),
-        found.chunks,
-        found.attachments,
-        found.metadata,
+    summary: tuple[_Written, ...] = (
+        *found.schemas.values(),
+        *found.channels.values(),
+        _statistics(found),
+        *found.chunks,
+        *found.attachments,
+        *found.metadata,
+        Footer(summary_offset_start=0, summary_start=summary_start, summary_crc=0),
     )
-    for group in groups:
-        for record in group:
-            record.write(summary)
-    ending = RecordBuilder()
-    for index in found.unindexed:
-        index.write(ending)
-    DataEnd(0).write(ending)
-    ending.write(summary.end())
-    Footer(summary_offset_start=0, summary_start=summary_start, summary_crc=0).write(ending)
-    ending.write(MCAP0_MAGIC)
-    return ending.end()
+    return _bytes((*found.unindexed, DataEnd(0), *summary)) + MCAP0_MAGIC
 
 
 def _statistics(found: Survey) -> Statistics:
@@ -300,7 +292,12 @@ def _parse(body: bytes, read: Callable[[ReadDataStream], T]) -> T:
     return read(ReadDataStream(BytesIO(body)))
 
 
-def _length(record: Schema | Channel | Message | MessageIndex | DataEnd) -> int:
-    builder = RecordBuilder()
-    record.write(builder)
-    return builder.count
+def _length(record: _Written) -> int:
+    return len(_bytes((record,)))
+
+
+def _bytes(records: Iterable[_Written]) -> bytes:
+    builder: Any = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    return bytes(builder.end())

@@ -1,0 +1,152 @@
+"""Messages: CDR equal to what an independent serialiser makes of the same values, and what they say."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from gear_dynamics_ros.messages import (
+    TOPICS,
+    Encoder,
+    applied_commands,
+    deserialize,
+    message_class,
+    resolve,
+    serialize,
+    stamp_ns,
+    waveform_message,
+    waveform_samples,
+)
+from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.signals import CHANNEL_NAMES, Chunk, Commands, Counters, Status
+
+EPOCH_NS = 1_700_000_000_123_456_789
+COMMANDS = Commands(drive_torque=30.0, load_torque=-4.5, speed=1000.0)
+
+
+def synthetic_chunk(rows: int = 7, first: int = 400) -> Chunk:
+    generator = np.random.default_rng(rows)
+    samples = generator.standard_normal((rows, len(CHANNEL_NAMES)))
+    samples[:, CHANNEL_NAMES.index("meshing_state")] = -1.0
+    angles = generator.standard_normal((rows, 2)) * 1e4
+    counters = Counters(0, 0, 0, 0, 0)
+    return Chunk(first, 10_000, samples, angles, COMMANDS, counters, Status.RUNNING, "")
+
+
+def decoded(chunk: Chunk, parameters: Parameters | None = None) -> dict[str, object]:
+    records = Encoder(parameters or Parameters(), EPOCH_NS).chunk(chunk)
+    return {record.topic: deserialize(TOPICS[record.topic].type, record.data) for record in records}
+
+
+@pytest.mark.parametrize(
+    ("node", "key", "name"),
+    [
+        ("/gearbox", "dte", "/gearbox/dte"),
+        ("/cell/gearbox", "speed_command", "/cell/gearbox/command/speed"),
+        ("/gearbox", "joint_states", "/joint_states"),
+        ("/cell/gearbox", "joint_states", "/cell/joint_states"),
+        ("/cell/gearbox", "diagnostics", "/diagnostics"),
+    ],
+)
+def test_names_resolve_as_ros_does(node: str, key: str, name: str) -> None:
+    assert resolve(TOPICS[key], node) == name
+
+
+def test_all_records_of_a_chunk_carry_the_time_of_its_last_sample() -> None:
+    chunk = synthetic_chunk()
+    records = Encoder(Parameters(), EPOCH_NS).chunk(chunk)
+    assert {record.time_ns for record in records} == {EPOCH_NS + 406 * 10_000}
+    messages = decoded(chunk)
+    for key in ("joint_states", "driving_bearing_force", "driven_bearing_force"):
+        assert stamp_ns(messages[key].header.stamp) == EPOCH_NS + chunk.last_ns
+
+
+@pytest.mark.parametrize("rows", [1, 7, 200])
+@pytest.mark.parametrize("channels", [CHANNEL_NAMES, ("time", "mesh_phase", "dte")])
+def test_waveform_equals_the_serialisers_own_bytes(rows: int, channels: tuple[str, ...]) -> None:
+    chunk = synthetic_chunk(rows)
+    parameters = Parameters.from_flat({"waveform_channels": channels})
+    encoder = Encoder(parameters, EPOCH_NS)
+    picked = np.column_stack([chunk[name] for name in channels])
+    expected = serialize(TOPICS["waveform"].type, waveform_message(channels, picked))
+    for _ in range(2):
+        record = next(record for record in encoder.chunk(chunk) if record.topic == "waveform")
+        assert record.data == expected
+    names, samples = waveform_samples(deserialize(TOPICS["waveform"].type, record.data))
+    assert names == channels
+    assert samples.tobytes() == picked.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("key", "channel"),
+    [
+        ("dte", "dte"),
+        ("mesh_force", "mesh_force"),
+        ("pressure_angle", "pressure_angle"),
+        ("meshing_state", "meshing_state"),
+    ],
+)
+def test_packed_scalars_equal_the_serialisers_own_bytes(key: str, channel: str) -> None:
+    chunk = synthetic_chunk()
+    record = next(record for record in Encoder(Parameters(), EPOCH_NS).chunk(chunk) if record.topic == key)
+    value = chunk[channel][-1]
+    data = int(value) if key == "meshing_state" else float(value)
+    assert record.data == serialize(TOPICS[key].type, message_class(TOPICS[key].type)(data=data))
+
+
+def test_joint_states_show_shafts_and_mesh() -> None:
+    chunk = synthetic_chunk()
+    state = decoded(chunk, Parameters.from_flat({"joint_prefix": "left_"}))["joint_states"]
+    last = {name: chunk[name][-1] for name in CHANNEL_NAMES}
+    assert state.name == ["left_driving", "left_driven", "left_mesh"]
+    assert state.position.tolist() == [*chunk.angles[-1], last["dte"]]
+    assert state.velocity.tolist() == [last["driving_speed"], last["driven_speed"], last["dte_rate"]]
+    assert state.effort.tolist() == [last["drive_torque"], last["load_torque"], last["mesh_force"]]
+
+
+@pytest.mark.parametrize("gear", ["driving", "driven"])
+def test_bearing_force_is_contact_plus_film(gear: str) -> None:
+    chunk = synthetic_chunk()
+    message = decoded(chunk)[f"{gear}_bearing_force"]
+    force, torque = message.wrench.force, message.wrench.torque
+    assert message.header.frame_id == f"{gear}_bearing"
+    assert force.x == chunk[f"{gear}_contact_force_x"][-1] + chunk[f"{gear}_film_force_x"][-1]
+    assert force.y == chunk[f"{gear}_contact_force_y"][-1] + chunk[f"{gear}_film_force_y"][-1]
+    assert (force.z, torque.x, torque.y, torque.z) == (0.0, 0.0, 0.0, 0.0)
+
+
+def test_applied_commands_round_trip_and_read_as_a_joint_command() -> None:
+    record = Encoder(Parameters(), EPOCH_NS).applied(COMMANDS, 123)
+    message = deserialize(TOPICS["applied_command"].type, record.data)
+    assert record.time_ns == stamp_ns(message.header.stamp) == EPOCH_NS + 1_230_000
+    assert message.name == ["driving", "driven"]
+    assert math.isnan(message.velocity[1])
+    assert applied_commands(message) == COMMANDS
+
+
+def test_event_is_json() -> None:
+    record = Encoder(Parameters(), EPOCH_NS).event("reset", 250, "by 'operator'\n\u00e9")
+    content = json.loads(deserialize(TOPICS["event"].type, record.data).data)
+    assert content == {"sample": 250, "time": 0.0025, "event": "reset", "message": "by 'operator'\n\u00e9"}
+    assert record.time_ns == EPOCH_NS + 2_500_000
+
+
+def test_a_run_that_ends_badly_still_makes_messages() -> None:
+    chunk = synthetic_chunk()
+    chunk.samples[-1] = np.nan
+    assert decoded(chunk)["meshing_state"].data == 0
+    assert Encoder(Parameters(), EPOCH_NS).chunk(synthetic_chunk(0)) == []
+
+
+def test_needs_neither_ros_nor_rerun() -> None:
+    code = (
+        "import sys\n"
+        "for name in ('rclpy', 'rerun'): sys.modules[name] = None\n"
+        "import gear_dynamics_ros.messages, gear_dynamics_ros.recording.writer, gear_dynamics_ros.recording\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
