@@ -1,64 +1,220 @@
-"""One run: commands in, engine, messages, sinks. The node and ``simulate`` differ only in who sets the time."""
+"""The loop that node and tools share: commands in, a chunk out, and every chunk to the same sinks.
+
+No clock and no threads: the same parameters and the same calls give the same records, whoever sets the pace.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import Protocol
+from fractions import Fraction
+from typing import Any, NamedTuple, Protocol
 
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.messages import Encoder, Record
+from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.signals import Chunk, Commands, Status
+
+START = "start"
+RESET = "reset"
+PAUSE = "pause"
+RESUME = "resume"
+END = "end"
 
 
 class Sink(Protocol):
-    """Where chunks go: recorder, publisher, viewer. A sink keeps what it needs; the caller keeps nothing."""
+    """Takes what a run makes; owns what it keeps."""
 
     def write(self, chunk: Chunk | None, records: Sequence[Record]) -> None:
-        """Take a chunk with its messages, or messages alone."""
+        """Messages in order of time, and the chunk they came from; no chunk for what happens between two."""
 
     def close(self) -> None:
-        """Finish; called once."""
+        """Finish; nothing is written afterwards."""
+
+
+class RecordWriter(Protocol):
+    """What ``RecorderSink`` needs of a recorder."""
+
+    def write(self, records: Sequence[Record]) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class ChunkWriter(Protocol):
+    """What ``ViewerSink`` needs of a viewer."""
+
+    def write(self, chunk: Chunk) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class RecorderSink(NamedTuple):
+    """Gives a recorder the messages of a run."""
+
+    recorder: RecordWriter
+
+    def write(self, chunk: Chunk | None, records: Sequence[Record]) -> None:
+        self.recorder.write(records)
+
+    def close(self) -> None:
+        self.recorder.close()
+
+
+class ViewerSink(NamedTuple):
+    """Gives a viewer the chunks of a run."""
+
+    viewer: ChunkWriter
+
+    def write(self, chunk: Chunk | None, records: Sequence[Record]) -> None:
+        if chunk is not None:
+            self.viewer.write(chunk)
+
+    def close(self) -> None:
+        self.viewer.close()
 
 
 class Run:
-    """Steps an engine in chunks and hands every chunk to the same sinks; no clock and no threads of its own."""
+    """One engine, its messages and the sinks they go to.
 
-    def __init__(self, engine: Engine, encoder: Encoder, sinks: Sequence[Sink]) -> None:
+    ``epoch_ns`` is the time stamp of simulated time zero. The commands in force are written before the first
+    chunk, whenever they change, and to each sink attached later, stamped at the sample where they take effect.
+    """
+
+    def __init__(self, engine: Engine, epoch_ns: int, sinks: Sequence[Sink] = ()) -> None:
         self.engine = engine
-        self.sinks = list(sinks)
-        self._encoder = encoder
-        self._announce = True
+        self.epoch_ns = epoch_ns
+        self._encoder = Encoder(engine.parameters, epoch_ns)
+        self._sinks = list(sinks)
+        self._newcomers: list[Sink] = []
+        self._applied: Commands | None = None
+        self._last_sample = _duration_samples(engine.parameters)
+        self._end = ""
 
-    def step(self, commands: Commands | None = None) -> Chunk:
-        """The next chunk, with ``commands`` in force from its first sample; what changed is told before it."""
-        engine = self.engine
-        if commands is not None and commands != engine.commands:
-            engine.command(commands)
-            self._announce = True
-        if self._announce:
-            self._send(None, [self._encoder.applied(engine.commands, engine.sample)])
-            self._announce = False
-        chunk = engine.advance()
-        self._send(chunk, self._encoder.chunk(chunk))
+    @property
+    def end(self) -> str:
+        """Why the run ended; empty while it can go on."""
+        return self._end
+
+    @property
+    def completed(self) -> bool:
+        """Whether ``pacing.duration`` has been simulated."""
+        return self._last_sample is not None and self.engine.sample >= self._last_sample
+
+    @property
+    def tripped(self) -> bool:
+        """Whether the engine itself ended the run; a reset recovers."""
+        return self.engine.status is not Status.RUNNING
+
+    @property
+    def time_ns(self) -> int:
+        """Stamp of the next sample."""
+        return self.epoch_ns + self.engine.sample * self.engine.parameters.solver.sample_interval_ns
+
+    def step(self, commands: Commands | None = None, received: Sequence[Record] = ()) -> Chunk:
+        """The next chunk, with ``commands`` in force from its first sample on; at the end a shorter one.
+
+        ``received`` are the command messages behind ``commands``; they are written as they are, before the change
+        they caused. Raises GearboxError if the run has ended.
+        """
+        if commands is not None:
+            self.engine.command(commands)
+        applied = self._encoder.applied(self.engine.commands, self.engine.sample)
+        heading = list(received)
+        if self._applied is None:
+            heading.insert(0, self._encoder.event(START, self.engine.sample, ""))
+        if self._applied != self.engine.commands:
+            heading.append(applied)
+            self._applied = self.engine.commands
+        chunk = self.engine.advance(self._chunk_samples())
+        records = [*heading, *self._encoder.chunk(chunk)]
+        for sink in self._sinks:
+            welcome = [applied] if sink in self._newcomers and applied not in heading else []
+            sink.write(chunk, [*welcome, *records])
+        self._newcomers.clear()
         if chunk.status is not Status.RUNNING:
-            self.note("end", chunk.message)
+            self.finish(chunk.message)
+        elif self.completed:
+            self.finish("pacing.duration reached")
         return chunk
 
-    def reset(self) -> None:
-        """Back to the start state; simulated time goes on."""
+    def reset(self, message: str = "") -> None:
+        """Back to the start state and the commands of the parameters; simulated time goes on."""
         self.engine.reset()
-        self.note("reset", "")
-        self._announce = True
+        self._end = ""
+        self.mark(RESET, message)
 
-    def note(self, kind: str, message: str) -> None:
-        """Tell the sinks of an event before the next sample."""
-        self._send(None, [self._encoder.event(kind, self.engine.sample, message)])
+    def mark(self, kind: str, message: str = "") -> None:
+        """Write an event that happens before the next sample."""
+        self.emit([self._encoder.event(kind, self.engine.sample, message)])
+
+    def emit(self, records: Sequence[Record]) -> None:
+        """Write messages that belong to no chunk."""
+        for sink in self._sinks:
+            sink.write(None, records)
+
+    def finish(self, reason: str) -> None:
+        """End the run with a reason, once; sinks stay open for what is still to come."""
+        if not self._end:
+            self._end = reason
+            self.mark(END, reason)
+
+    def attach(self, sink: Sink) -> None:
+        """Let ``sink`` have everything from the next chunk on."""
+        self._sinks.append(sink)
+        self._newcomers.append(sink)
+
+    def detach(self, sink: Sink) -> None:
+        """Let ``sink`` have no more; the caller closes it."""
+        self._sinks.remove(sink)
+        if sink in self._newcomers:
+            self._newcomers.remove(sink)
+
+    def checkpoint(self) -> dict[str, Any]:
+        """State before the next sample."""
+        return self.engine.checkpoint()
 
     def close(self) -> None:
-        """Close every sink."""
-        for sink in self.sinks:
-            sink.close()
+        """Close all sinks, even if one of them fails; raises the first failure."""
+        failures: list[Exception] = []
+        while self._sinks:
+            try:
+                self._sinks.pop().close()
+            except Exception as error:
+                failures.append(error)
+        if failures:
+            raise failures[0]
 
-    def _send(self, chunk: Chunk | None, records: Sequence[Record]) -> None:
-        for sink in self.sinks:
-            sink.write(chunk, records)
+    def _chunk_samples(self) -> int:
+        whole = self.engine.parameters.solver.samples_per_chunk
+        if self._last_sample is None:
+            return whole
+        return min(whole, self._last_sample - self.engine.sample)
+
+
+def _duration_samples(parameters: Parameters) -> int | None:
+    """Samples in ``pacing.duration``, the last one begun included; None for a run without end."""
+    duration = parameters.pacing.duration
+    if duration == 0.0:
+        return None
+    # The decimal that the user typed, not the binary fraction beside it, decides how many samples fit.
+    return math.ceil(Fraction(repr(duration)) * 10**9 / parameters.solver.sample_interval_ns)
+
+
+def advice(parameters: Parameters) -> list[str]:
+    """What is allowed but hardly meant, a line each."""
+    operation, gears = parameters.operation, parameters.gears
+    if operation.control != "torque":
+        return []
+    ratio = gears.driving.teeth / gears.driven.teeth
+    speed = operation.speed * ratio if operation.initial == "touching" else 0.0
+    load = operation.load_torque * (math.tanh(speed) if operation.load_law == "brake" else 1.0)
+    load += operation.load_viscous * speed
+    surplus = operation.drive_torque - load * ratio
+    if math.isclose(operation.drive_torque, load * ratio, rel_tol=1e-9, abs_tol=1e-9):
+        return []
+    acceleration = surplus / (gears.driving.inertia + gears.driven.inertia * ratio**2)
+    return [
+        f"operation.drive_torque = {operation.drive_torque:g} N m does not balance the load of "
+        f"{load * ratio:g} N m at the driving shaft: the speed changes by {acceleration:.4g} rad/s^2 from the start; "
+        "balance them or set operation.control: speed"
+    ]

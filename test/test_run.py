@@ -1,0 +1,154 @@
+"""The loop of commands, chunks and sinks, without a clock."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.messages import STRING, TOPICS, applied_commands, deserialize, waveform_samples
+from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.run import Run, advice
+from gear_dynamics_ros.signals import Commands
+
+EPOCH = 1_700_000_000_000_000_000
+CHUNK = 200
+INTERVAL = 10_000
+
+
+class Keeper:
+    """A sink that keeps everything."""
+
+    def __init__(self):
+        self.chunks, self.records, self.closed = [], [], False
+
+    def write(self, chunk, records):
+        if chunk is not None:
+            self.chunks.append(chunk)
+        self.records.extend(records)
+
+    def close(self):
+        self.closed = True
+
+    def of(self, topic):
+        return [
+            (record.time_ns, deserialize(TOPICS[topic].type, record.data))
+            for record in self.records
+            if record.topic == topic
+        ]
+
+    @property
+    def applied(self):
+        return [
+            ((time - EPOCH) // INTERVAL, applied_commands(message))
+            for time, message in self.of("applied_command")
+        ]
+
+    @property
+    def events(self):
+        return [
+            (entry["sample"], entry["event"])
+            for entry in map(json.loads, (m.data for _, m in self.of("event")))
+        ]
+
+
+def start(**values):
+    keeper = Keeper()
+    return Run(Engine(Parameters.from_flat(values)), EPOCH, [keeper]), keeper
+
+
+def test_commands_in_force_stand_before_the_chunk_they_change():
+    run, keeper = start()
+    first = run.engine.commands
+    second = Commands(30.0, 12.0, 1500.0)
+    run.step()
+    run.step(second)
+    run.step(second)
+    run.step()
+    assert keeper.applied == [(0, first), (CHUNK, second)]
+    topics = [record.topic for record in keeper.records]
+    assert topics[:2] == ["event", "applied_command"]
+    assert (
+        topics.index("applied_command", 2) < [k for k, topic in enumerate(topics) if topic == "waveform"][1]
+    )
+    assert np.all(keeper.chunks[0]["load_torque"] == 30.0)
+    assert np.all(keeper.chunks[1]["load_torque"] == 12.0)
+
+
+def test_records_are_in_order_of_time_and_hold_every_sample():
+    run, keeper = start()
+    for _ in range(3):
+        run.step()
+    times = [record.time_ns for record in keeper.records]
+    assert times == sorted(times)
+    rows = np.vstack([waveform_samples(message)[1] for _, message in keeper.of("waveform")])
+    np.testing.assert_array_equal(rows, np.vstack([chunk.samples for chunk in keeper.chunks]))
+    np.testing.assert_allclose(rows[:, 0], np.arange(3 * CHUNK) * 1e-5, rtol=1e-12)
+
+
+def test_reset_goes_back_to_the_start_while_time_goes_on():
+    run, keeper = start()
+    run.step(Commands(30.0, 5.0, 1600.0))
+    run.reset("wanted")
+    run.step()
+    first = keeper.applied[-1]
+    assert first == (CHUNK, Engine(Parameters()).commands)
+    assert keeper.events == [(0, "start"), (CHUNK, "reset")]
+    assert keeper.chunks[1].first_sample == CHUNK
+    np.testing.assert_array_equal(keeper.chunks[1]["driving_x"][:1], [0.0])
+
+
+def test_over_speed_ends_the_run_and_a_reset_recovers():
+    run, keeper = start(
+        **{"operation.speed_limit": 1624.0, "operation.control": "torque", "operation.load_torque": 0.0}
+    )
+    while not run.end:
+        run.step()
+    assert "operation.speed_limit" in run.end
+    assert run.tripped
+    assert keeper.events[-1] == (run.engine.sample, "end")
+    with pytest.raises(GearboxError, match="ended"):
+        run.step()
+    assert not keeper.closed
+    run.reset()
+    assert run.end == ""
+    run.step()
+    run.close()
+    assert keeper.closed
+
+
+@pytest.mark.parametrize(("duration", "samples"), [(0.005, 500), (0.004, 400), (0.0040001, 401)])
+def test_duration_ends_the_run_on_its_last_sample(duration, samples):
+    run, keeper = start(**{"pacing.duration": duration})
+    while not run.end:
+        run.step()
+    assert run.completed and not run.tripped
+    assert run.engine.sample == samples == sum(map(len, keeper.chunks))
+    assert [event for _, event in keeper.events] == ["start", "end"]
+
+
+def test_a_sink_attached_later_learns_the_commands_in_force():
+    run, _ = start()
+    run.step()
+    late = Keeper()
+    run.attach(late)
+    run.step()
+    run.detach(late)
+    run.step()
+    assert late.applied == [(CHUNK, run.engine.commands)]
+    assert [chunk.first_sample for chunk in late.chunks] == [CHUNK]
+
+
+def test_unbalanced_torques_are_named_with_the_acceleration_they_cause():
+    torque = {"operation.control": "torque"}
+    assert advice(Parameters.from_flat(torque)) == []
+    assert advice(Parameters.from_flat({"operation.drive_torque": 31.0})) == []
+    (line,) = advice(Parameters.from_flat({**torque, "operation.drive_torque": 31.0}))
+    assert "operation.drive_torque = 31" in line and "224.2 rad/s^2" in line
+    assert (
+        advice(Parameters.from_flat({**torque, "operation.drive_torque": 15.0, "gears.driven.teeth": 80}))
+        == []
+    )
