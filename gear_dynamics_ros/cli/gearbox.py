@@ -1,0 +1,21 @@
+"""``gearbox``: the virtual gearbox as a ROS 2 node."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from gear_dynamics_ros.cli.common import FAILURE
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the node until it is stopped; returns the exit code."""
+    try:
+        from gear_dynamics_ros.node import main as run
+    except ModuleNotFoundError as error:
+        if error.name != "rclpy":
+            raise
+        remedy = "source your ROS 2 installation, or pip install 'gear_dynamics_ros[ros]'"
+        print(f"gearbox: error: rclpy: not found; {remedy}", file=sys.stderr)
+        return FAILURE
+    return run(argv)
