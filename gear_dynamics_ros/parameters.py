@@ -54,7 +54,7 @@ class Specification(NamedTuple):
 
     @property
     def limits(self) -> str:
-        """What is allowed, in words; empty where everything of the type is."""
+        """What is allowed of a value, or of each entry, in words; empty where everything of the type is."""
         if self.choices:
             return "one of " + ", ".join(self.choices)
         bounds = []
@@ -241,7 +241,7 @@ class Governor:
 class Operation:
     control: str = spec(
         "speed",
-        "who sets the drive torque: the command or a PI governor of the speed",
+        "what sets the drive torque: the torque command, or a PI governor of the speed",
         choices=("torque", "speed"),
     )
     speed: float = spec(
@@ -267,17 +267,17 @@ class Operation:
     governor: Governor = field(default_factory=Governor)
     command_timeout: float = spec(
         0.0,
-        "age of the last command, in wall time, that triggers on_timeout; 0 is never",
+        "wall time without a command after which on_timeout applies; 0 is never",
         unit="s",
         minimum=0.0,
         maximum=1e9,
     )
     on_timeout: str = spec(
-        "hold", "hold the last commands, or release: both torques to 0", choices=("hold", "release")
+        "hold", "hold: keep the last commands; release: both torques to 0", choices=("hold", "release")
     )
     initial: str = spec(
         "touching",
-        "start with the drive flank touching: at operation.speed, or at rest",
+        "start with the drive flank touching, at operation.speed, or at rest",
         choices=("touching", "rest"),
     )
 
@@ -352,24 +352,28 @@ class Parameters:
 
     model: str = spec(
         "improved",
-        "bearing model: Kelvin contact; Hertz contact with restitution; the same with oil film",
+        "bearing contact: traditional (Kelvin), compared (Hertz, restitution), improved (and an oil film)",
         choices=("traditional", "compared", "improved"),
     )
     mesh_geometry: str = spec(
         "exact",
-        "transmission error of displaced centres: as printed, or exact",
+        "transmission error of displaced centres: as published, or exact",
         choices=("published", "exact"),
     )
     mesh_damping: str = spec(
-        "contact", "mesh damping: also in free flight, or in contact only", choices=("always", "contact")
+        "contact",
+        "when the mesh damps: always, in free flight too, or in contact only",
+        choices=("always", "contact"),
     )
     restitution_law: str = spec(
         "exact",
-        "hysteresis factor of the bearing contact: as printed, or such that eta is what is delivered",
+        "damping of the bearing contact: as published, or such that it delivers exactly the restitution",
         choices=("lankarani_nikravesh", "exact"),
     )
     mesh_phase: str = spec(
-        "actual", "mesh phase from the speed set-point, or from the state", choices=("nominal", "actual")
+        "actual",
+        "mesh phase: nominal, from the speed set-point, or actual, from the state",
+        choices=("nominal", "actual"),
     )
     gears: Gears = field(default_factory=Gears)
     mesh: Mesh = field(default_factory=Mesh)
@@ -463,10 +467,11 @@ def reference() -> str:
     ]
     for row in specifications().values():
         kind = f"list of {row.element.__name__}" if row.type is tuple else row.type.__name__
-        if row.name == "waveform_channels":
-            default, allowed = "all", "channel names"
-        else:
-            default, allowed = f"`{_text(row.default)}`", row.limits
+        default, allowed = f"`{_text(row.default)}`", row.limits
+        if row.choices == CHANNEL_NAMES:
+            default, allowed = "all channels", "channel names"
+        if row.length:
+            allowed = f"{row.length[0]} to {row.length[1]} entries, {allowed}"
         runtime = "yes" if row.runtime else ""
         lines.append(
             f"| `{row.name}` | {kind} | {default} | {row.unit} | {allowed} | {runtime} | {row.help} |"
@@ -642,7 +647,7 @@ def _check_mesh(mesh: Mesh) -> None:
     )
     if swing >= 1.0:
         raise UsageError(
-            f"mesh.stiffness_cos and mesh.stiffness_sin have amplitudes of {swing:.6g} in all; "
+            f"mesh.stiffness_cos and mesh.stiffness_sin swing by {swing:.6g} in all: "
             "it must be < 1 for the stiffness to stay positive: lower them"
         )
 
@@ -668,8 +673,8 @@ def _check_operation(parameters: Parameters) -> None:
         )
     if operation.initial == "rest" and parameters.mesh_phase == "nominal":
         raise UsageError(
-            "operation.initial = 'rest' can't be with mesh_phase = 'nominal', whose phase runs at the set-point "
-            "from the start: take 'touching' or 'actual'"
+            "operation.initial = 'rest' can't be with mesh_phase = 'nominal', whose phase runs at the "
+            "set-point: take 'touching' or 'actual'"
         )
 
 

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Iterator
 from typing import Any, TypeAlias
 
-import yaml  # type: ignore[import-untyped]
+import yaml
 
 from gear_dynamics_ros.errors import UsageError
 
@@ -40,7 +40,7 @@ _TEXT_TAG = "tag:yaml.org,2002:str"
 
 
 def resolve(text: str) -> Scalar:
-    """A plain scalar as rcl takes it: a boolean of its list, else by C's strtol, else by strtod, else text."""
+    """A plain scalar as rcl takes it: a boolean of its list, or by C's strtol, or by strtod, or text."""
     if text in _TRUE or text in _FALSE:
         return text in _TRUE
     integer = _integer(text)
