@@ -51,9 +51,9 @@ EVENT_COUNT = 9
 AX1, AY1, AX2, AY2, ALPHA1, ALPHA2 = range(6)
 VALUE = 6
 RATE = VALUE + EVENT_COUNT
-Q, Q_RATE, MESH_FORCE, TAN_ALPHA, HALF_BACKLASH, BACKLASH_RATE, LOAD = range(24, 31)
-PENETRATION, CLOSING, CONTACT_X, CONTACT_Y, FILM_X, FILM_Y = range(31, 43, 2)
-POINT_SIZE = 43
+Q, Q_RATE, MESH_FORCE, TAN_ALPHA, HALF_BACKLASH, LOAD = range(24, 30)
+PENETRATION, CLOSING, CONTACT_X, CONTACT_Y, FILM_X, FILM_Y = range(30, 42, 2)
+POINT_SIZE = 42
 
 # Columns of the excitation table, one pair of amplitudes (cosine, sine) each, and of its values.
 SURFACE, SURFACE_SLOPE, SURFACE_CURVATURE, STIFFNESS, STIFFNESS_SLOPE, ERROR, ERROR_SLOPE, ERROR_CURVATURE = range(8)
@@ -63,15 +63,19 @@ ROW_BLOCK = 8  # rows are padded to whole blocks of vector lanes
 SERIES_TERMS = 10
 SERIES_REACH = 1.0 / 40.0  # of tan^2(alpha0): beyond it the involute is evaluated in full
 ARCTANGENT_REACH = 1e-2
+ARCTANGENT_SERIES_REACH = 0.2
 
-EVENT_TOLERANCE = 1e-10  # of the change of an event's value over its step
+# Of the change of an event's value over its step. A gap may open onto a jump of the damping force; a clamp is
+# a mere kink, where an error in time counts by its square.
+GAP_TOLERANCE = 1e-10
+CLAMP_TOLERANCE = 1e-7
 SEARCH_LIMIT = 30
 STOPS_PER_STEP = 24
 SHORTEST_SUBSTEP = 1e-9  # of the step
 
-# Rows of states, points and excitations: where the step starts, ends, its stages, the lower end of a search.
-HERE, END, MIDDLE, LATE, LOW = range(5)
-ROWS = 5
+# Rows of states, points and excitations: where the step starts, ends, its middle, the lower end of a search.
+HERE, END, MIDDLE, LOW = range(4)
+ROWS = 4
 
 RUNNING, OVER_SPEED, NON_FINITE, CENTRES_PRESSED = range(4)
 
@@ -123,7 +127,7 @@ CONSTANTS = np.dtype(
 )
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+@njit(cache=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
 def excite(turn, waves, amplitudes, excs, e_row):
     """Sum of all periodic excitations at ``turn``, the fraction of the hunting cycle, into row ``e_row``.
 
@@ -182,7 +186,19 @@ def excite(turn, waves, amplitudes, excs, e_row):
     excs[e_row, 7] = v7
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+@njit(cache=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
+def arctangent(x):
+    """atan x to rounding: Taylor's series where the film mostly is, without a call that spills registers."""
+    if abs(x) > ARCTANGENT_SERIES_REACH:
+        return math.atan(x)
+    x2 = x * x
+    x4 = x2 * x2
+    even = 1.0 / 5.0 + x4 * (1.0 / 9.0 + x4 * (1.0 / 13.0 + x4 * (1.0 / 17.0 + x4 * (1.0 / 21.0))))
+    odd = 1.0 / 3.0 + x4 * (1.0 / 7.0 + x4 * (1.0 / 11.0 + x4 * (1.0 / 15.0 + x4 * (1.0 / 19.0))))
+    return x - x * x2 * (odd - x2 * even)
+
+
+@njit(cache=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
 def film_force(coefficient, w, ex, ey, ux, uy):
     """Capone's short-bearing film (9)-(15): force on the shaft (x, y) in N.
 
@@ -199,7 +215,7 @@ def film_force(coefficient, w, ex, ey, ux, uy):
     inverse_root = 1.0 / math.sqrt(1.0 - (ex * ex + ey * ey))
     inverse_s = inverse_root * inverse_root
     h = ey * cos_al - ex * sin_al
-    g = 2.0 * inverse_root * (0.5 * math.pi + math.atan(h * inverse_root))
+    g = 2.0 * inverse_root * (0.5 * math.pi + arctangent(h * inverse_root))
     v = (2.0 + h * g) * inverse_s
     c = ex * cos_al + ey * sin_al
     big_s = c / (1.0 - c * c)
@@ -210,9 +226,13 @@ def film_force(coefficient, w, ex, ey, ux, uy):
     )
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def evaluate_bearing(constants, gear, w, x, y, vx, vy, latched, flags, points, p):
-    """Contact (2)-(6) and film of one bearing into row ``p`` of ``points``; returns the total force on the gear in N."""
+@njit(cache=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
+def bearing(constants, gear, w, x, y, vx, vy, latched, flags):
+    """Contact (2)-(6) and film (9)-(15) of one bearing, flags frozen.
+
+    Returns (contact force x, y; film force x, y in N; penetration m, its rate m/s; events' values: gap, its rate,
+    clamp, film margin, its rate).
+    """
     d = math.sqrt(x * x + y * y)
     nx, ny, inverse_d = 1.0, 0.0, 0.0
     if d > 0.0:
@@ -235,14 +255,7 @@ def evaluate_bearing(constants, gear, w, x, y, vx, vy, latched, flags, points, p
         if flags[CLAMPED + gear] == 1:
             force = 0.0
             clamp_value = -clamp_value
-    fx, fy = -force * nx, -force * ny
-    points[p, PENETRATION + gear] = delta
-    points[p, CLOSING + gear] = closing
-    points[p, CONTACT_X + gear] = fx
-    points[p, CONTACT_Y + gear] = fy
-    points[p, VALUE + BEARING_GAP + gear] = gap_sign * delta
-    points[p, RATE + BEARING_GAP + gear] = gap_sign * closing
-    points[p, VALUE + BEARING_CLAMP + gear] = clamp_value
+    film_x, film_y, margin, margin_rate = 0.0, 0.0, 1.0, 0.0
     if constants.film:
         per_c = constants.per_oil_clearance[gear]
         relative = d * per_c
@@ -259,21 +272,30 @@ def evaluate_bearing(constants, gear, w, x, y, vx, vy, latched, flags, points, p
             scale = math.sqrt(bound2 / eps2)
             ex, ey = ex * scale, ey * scale
         film_x, film_y = film_force(constants.film_factor[gear], w, ex, ey, vx * per_c, vy * per_c)
-        points[p, FILM_X + gear] = film_x
-        points[p, FILM_Y + gear] = film_y
-        points[p, VALUE + FILM_LIMIT + gear] = margin
-        points[p, RATE + FILM_LIMIT + gear] = margin_rate
-        fx += film_x
-        fy += film_y
-    return fx, fy
+    return (
+        -force * nx,
+        -force * ny,
+        film_x,
+        film_y,
+        delta,
+        closing,
+        gap_sign * delta,
+        gap_sign * closing,
+        clamp_value,
+        margin,
+        margin_rate,
+    )
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def evaluate(constants, speed, load, states, s, flags, excs, e_row, lag, points, p):
-    """Right-hand side at row ``s`` of ``states`` with ``flags`` frozen, and the events' values, into row ``p``.
+@njit(cache=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
+def dynamics(constants, speed, load, states, s, flags, excs, e_row, lag):
+    """Right-hand side at row ``s`` of ``states`` with ``flags`` frozen, and the events' values.
 
     ``speed`` set-point in rad/s and ``load`` commanded load torque in N m; row ``e_row`` of ``excs`` holds the
     excitations at a phase that the state is ahead of by ``lag`` rad of mesh phase. (21)-(32).
+
+    Returns (accelerations; mesh force; mesh events: upper gap and rate, lower gap and rate, clamp; (q, its rate,
+    tan alpha, b1, load torque); bearing 1; bearing 2). Inlined, so that a caller pays for what it uses.
     """
     x1, y1, x2, y2 = states[s, X1], states[s, Y1], states[s, X2], states[s, Y2]
     vx1, vy1, vx2, vy2 = states[s, VX1], states[s, VY1], states[s, VX2], states[s, VY2]
@@ -364,35 +386,57 @@ def evaluate(constants, speed, load, states, s, flags, excs, e_row, lag, points,
     w1, w2 = omega1, -omega2
     if constants.nominal_phase:
         w1, w2 = speed, -speed * rb1 / rb2
-    f1x, f1y = evaluate_bearing(
-        constants, 0, w1, x1, y1, vx1, vy1, states[s, IMPACT_SPEED], flags, points, p
-    )
-    f2x, f2y = evaluate_bearing(
-        constants, 1, w2, x2, y2, vx2, vy2, states[s, IMPACT_SPEED + 1], flags, points, p
-    )
+    bearing1 = bearing(constants, 0, w1, x1, y1, vx1, vy1, states[s, IMPACT_SPEED], flags)
+    bearing2 = bearing(constants, 1, w2, x2, y2, vx2, vy2, states[s, IMPACT_SPEED + 1], flags)
     load_torque = load
     if constants.brake:
         load_torque = load * math.tanh(omega2)
     load_torque += constants.load_viscous * omega2
 
-    points[p, AX1] = (f1x - force * along_x) * constants.per_mass1
-    points[p, AY1] = (f1y - force * along_y) * constants.per_mass1
-    points[p, AX2] = (f2x + force * along_x) * constants.per_mass2
-    points[p, AY2] = (f2y + force * along_y) * constants.per_mass2
-    points[p, ALPHA1] = (states[s, DRIVE_TORQUE] - force * rb1) * constants.per_inertia1
-    points[p, ALPHA2] = (force * rb2 - load_torque) * constants.per_inertia2
-    points[p, VALUE + UPPER_GAP] = upper
-    points[p, RATE + UPPER_GAP] = upper_rate
-    points[p, VALUE + LOWER_GAP] = lower
-    points[p, RATE + LOWER_GAP] = lower_rate
-    points[p, VALUE + MESH_CLAMP] = clamp_value
-    points[p, Q] = q
-    points[p, Q_RATE] = q_rate
+    return (
+        (
+            (bearing1[0] + bearing1[2] - force * along_x) * constants.per_mass1,
+            (bearing1[1] + bearing1[3] - force * along_y) * constants.per_mass1,
+            (bearing2[0] + bearing2[2] + force * along_x) * constants.per_mass2,
+            (bearing2[1] + bearing2[3] + force * along_y) * constants.per_mass2,
+            (states[s, DRIVE_TORQUE] - force * rb1) * constants.per_inertia1,
+            (force * rb2 - load_torque) * constants.per_inertia2,
+        ),
+        force,
+        (upper, upper_rate, lower, lower_rate, clamp_value),
+        (q, q_rate, tan_alpha, b1, load_torque),
+        bearing1,
+        bearing2,
+    )
+
+
+@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+def evaluate(constants, speed, load, states, s, flags, excs, e_row, lag, points, p):
+    """``dynamics`` at row ``s`` of ``states``, all of it kept in row ``p`` of ``points``."""
+    acceleration, force, mesh, shown, bearing1, bearing2 = dynamics(
+        constants, speed, load, states, s, flags, excs, e_row, lag
+    )
+    for i in range(6):
+        points[p, AX1 + i] = acceleration[i]
     points[p, MESH_FORCE] = force
-    points[p, TAN_ALPHA] = tan_alpha
-    points[p, HALF_BACKLASH] = b1
-    points[p, BACKLASH_RATE] = b1_rate
-    points[p, LOAD] = load_torque
+    points[p, VALUE + UPPER_GAP], points[p, RATE + UPPER_GAP] = mesh[0], mesh[1]
+    points[p, VALUE + LOWER_GAP], points[p, RATE + LOWER_GAP] = mesh[2], mesh[3]
+    points[p, VALUE + MESH_CLAMP] = mesh[4]
+    points[p, Q], points[p, Q_RATE], points[p, TAN_ALPHA] = shown[0], shown[1], shown[2]
+    points[p, HALF_BACKLASH], points[p, LOAD] = shown[3], shown[4]
+    keep_bearing(points, p, 0, bearing1)
+    keep_bearing(points, p, 1, bearing2)
+
+
+@njit(cache=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
+def keep_bearing(points, p, gear, values):
+    """Store what ``bearing`` returned."""
+    points[p, CONTACT_X + gear], points[p, CONTACT_Y + gear] = values[0], values[1]
+    points[p, FILM_X + gear], points[p, FILM_Y + gear] = values[2], values[3]
+    points[p, PENETRATION + gear], points[p, CLOSING + gear] = values[4], values[5]
+    points[p, VALUE + BEARING_GAP + gear], points[p, RATE + BEARING_GAP + gear] = values[6], values[7]
+    points[p, VALUE + BEARING_CLAMP + gear] = values[8]
+    points[p, VALUE + FILM_LIMIT + gear], points[p, RATE + FILM_LIMIT + gear] = values[9], values[10]
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
@@ -419,9 +463,14 @@ def try_step(constants, speed, load, waves, amplitudes, states, flags, phase, po
     states[END, IMPACT_SPEED] = states[HERE, IMPACT_SPEED]
     states[END, IMPACT_SPEED + 1] = states[HERE, IMPACT_SPEED + 1]
     u_rate1 = rb1 * states[HERE, OMEGA1] - rb2 * states[HERE, OMEGA2]
-    for i in range(4):
-        states[END, X1 + i] = states[HERE, X1 + i] + half * states[HERE, VX1 + i]
-        states[END, VX1 + i] = states[HERE, VX1 + i] + half * points[HERE, AX1 + i]
+    states[END, X1] = states[HERE, X1] + half * states[HERE, VX1]
+    states[END, VX1] = states[HERE, VX1] + half * points[HERE, AX1]
+    states[END, Y1] = states[HERE, Y1] + half * states[HERE, VY1]
+    states[END, VY1] = states[HERE, VY1] + half * points[HERE, AY1]
+    states[END, X2] = states[HERE, X2] + half * states[HERE, VX2]
+    states[END, VX2] = states[HERE, VX2] + half * points[HERE, AX2]
+    states[END, Y2] = states[HERE, Y2] + half * states[HERE, VY2]
+    states[END, VY2] = states[HERE, VY2] + half * points[HERE, AY2]
     states[END, U] = states[HERE, U] + half * u_rate1
     states[END, THETA1] = states[HERE, THETA1] + half * states[HERE, OMEGA1]
     states[END, OMEGA1] = states[HERE, OMEGA1] + half * points[HERE, ALPHA1]
@@ -429,51 +478,69 @@ def try_step(constants, speed, load, waves, amplitudes, states, flags, phase, po
     theta_mid = states[END, THETA1]
     turn_mid = phase + half * speed * TURNS_PER_RADIAN if nominal else theta_mid * TURNS_PER_RADIAN
     excite(phase_turn(constants, turns, turn_mid), waves, amplitudes, excs, MIDDLE)
-    evaluate(constants, speed, load, states, END, flags, excs, MIDDLE, 0.0, points, MIDDLE)
+    middle, force_middle, _, _, _, _ = dynamics(constants, speed, load, states, END, flags, excs, MIDDLE, 0.0)
 
     # Stage 3
     u_rate2 = rb1 * states[END, OMEGA1] - rb2 * states[END, OMEGA2]
     omega1_2 = states[END, OMEGA1]
-    for i in range(4):
-        states[END, X1 + i] = states[HERE, X1 + i] + half * states[END, VX1 + i]
-        states[END, VX1 + i] = states[HERE, VX1 + i] + half * points[MIDDLE, AX1 + i]
+    states[END, X1] = states[HERE, X1] + half * states[END, VX1]
+    states[END, VX1] = states[HERE, VX1] + half * middle[AX1]
+    states[END, Y1] = states[HERE, Y1] + half * states[END, VY1]
+    states[END, VY1] = states[HERE, VY1] + half * middle[AY1]
+    states[END, X2] = states[HERE, X2] + half * states[END, VX2]
+    states[END, VX2] = states[HERE, VX2] + half * middle[AX2]
+    states[END, Y2] = states[HERE, Y2] + half * states[END, VY2]
+    states[END, VY2] = states[HERE, VY2] + half * middle[AY2]
     states[END, U] = states[HERE, U] + half * u_rate2
     states[END, THETA1] = states[HERE, THETA1] + half * omega1_2
-    states[END, OMEGA1] = states[HERE, OMEGA1] + half * points[MIDDLE, ALPHA1]
-    states[END, OMEGA2] = states[HERE, OMEGA2] + half * points[MIDDLE, ALPHA2]
+    states[END, OMEGA1] = states[HERE, OMEGA1] + half * middle[ALPHA1]
+    states[END, OMEGA2] = states[HERE, OMEGA2] + half * middle[ALPHA2]
     lag = 0.0 if nominal else constants.teeth1 * half * (omega1_2 - states[HERE, OMEGA1])
-    evaluate(constants, speed, load, states, END, flags, excs, MIDDLE, lag, points, LATE)
+    late, force_late, _, _, _, _ = dynamics(constants, speed, load, states, END, flags, excs, MIDDLE, lag)
 
     # Stage 4
     u_rate3 = rb1 * states[END, OMEGA1] - rb2 * states[END, OMEGA2]
     omega1_3 = states[END, OMEGA1]
     sixth = h * h / 6.0
-    for i in range(4):
-        states[END, X1 + i] = states[HERE, X1 + i] + h * states[END, VX1 + i]
-        states[END, VX1 + i] = states[HERE, VX1 + i] + h * points[LATE, AX1 + i]
+    states[END, X1] = states[HERE, X1] + h * states[END, VX1]
+    states[END, VX1] = states[HERE, VX1] + h * late[AX1]
+    states[END, Y1] = states[HERE, Y1] + h * states[END, VY1]
+    states[END, VY1] = states[HERE, VY1] + h * late[AY1]
+    states[END, X2] = states[HERE, X2] + h * states[END, VX2]
+    states[END, VX2] = states[HERE, VX2] + h * late[AX2]
+    states[END, Y2] = states[HERE, Y2] + h * states[END, VY2]
+    states[END, VY2] = states[HERE, VY2] + h * late[AY2]
     states[END, U] = states[HERE, U] + h * u_rate3
     states[END, THETA1] = states[HERE, THETA1] + h * omega1_3
-    states[END, OMEGA1] = states[HERE, OMEGA1] + h * points[LATE, ALPHA1]
-    states[END, OMEGA2] = states[HERE, OMEGA2] + h * points[LATE, ALPHA2]
+    states[END, OMEGA1] = states[HERE, OMEGA1] + h * late[ALPHA1]
+    states[END, OMEGA2] = states[HERE, OMEGA2] + h * late[ALPHA2]
     theta_end = states[END, THETA1]
     turn_end = phase + h * speed * TURNS_PER_RADIAN if nominal else theta_end * TURNS_PER_RADIAN
     excite(phase_turn(constants, turns, turn_end), waves, amplitudes, excs, END)
-    evaluate(constants, speed, load, states, END, flags, excs, END, 0.0, points, END)
+    last, force_last, _, _, _, _ = dynamics(constants, speed, load, states, END, flags, excs, END, 0.0)
 
     weight = h / 6.0
-    for i in range(4):
-        pair = points[MIDDLE, AX1 + i] + points[LATE, AX1 + i]
-        states[END, X1 + i] = states[HERE, X1 + i] + h * states[HERE, VX1 + i] + sixth * (points[HERE, AX1 + i] + pair)
-        states[END, VX1 + i] = states[HERE, VX1 + i] + weight * (points[HERE, AX1 + i] + 2.0 * pair + points[END, AX1 + i])
-    pair1 = points[MIDDLE, ALPHA1] + points[LATE, ALPHA1]
-    pair2 = points[MIDDLE, ALPHA2] + points[LATE, ALPHA2]
+    pair = middle[AX1] + late[AX1]
+    states[END, X1] = states[HERE, X1] + h * states[HERE, VX1] + sixth * (points[HERE, AX1] + pair)
+    states[END, VX1] = states[HERE, VX1] + weight * (points[HERE, AX1] + 2.0 * pair + last[AX1])
+    pair = middle[AY1] + late[AY1]
+    states[END, Y1] = states[HERE, Y1] + h * states[HERE, VY1] + sixth * (points[HERE, AY1] + pair)
+    states[END, VY1] = states[HERE, VY1] + weight * (points[HERE, AY1] + 2.0 * pair + last[AY1])
+    pair = middle[AX2] + late[AX2]
+    states[END, X2] = states[HERE, X2] + h * states[HERE, VX2] + sixth * (points[HERE, AX2] + pair)
+    states[END, VX2] = states[HERE, VX2] + weight * (points[HERE, AX2] + 2.0 * pair + last[AX2])
+    pair = middle[AY2] + late[AY2]
+    states[END, Y2] = states[HERE, Y2] + h * states[HERE, VY2] + sixth * (points[HERE, AY2] + pair)
+    states[END, VY2] = states[HERE, VY2] + weight * (points[HERE, AY2] + 2.0 * pair + last[AY2])
+    pair1 = middle[ALPHA1] + late[ALPHA1]
+    pair2 = middle[ALPHA2] + late[ALPHA2]
     u_sum = rb1 * (points[HERE, ALPHA1] + pair1) - rb2 * (points[HERE, ALPHA2] + pair2)
     states[END, U] = states[HERE, U] + h * u_rate1 + sixth * u_sum
     states[END, THETA1] = states[HERE, THETA1] + h * states[HERE, OMEGA1] + sixth * (points[HERE, ALPHA1] + pair1)
-    states[END, OMEGA1] = states[HERE, OMEGA1] + weight * (points[HERE, ALPHA1] + 2.0 * pair1 + points[END, ALPHA1])
-    states[END, OMEGA2] = states[HERE, OMEGA2] + weight * (points[HERE, ALPHA2] + 2.0 * pair2 + points[END, ALPHA2])
+    states[END, OMEGA1] = states[HERE, OMEGA1] + weight * (points[HERE, ALPHA1] + 2.0 * pair1 + last[ALPHA1])
+    states[END, OMEGA2] = states[HERE, OMEGA2] + weight * (points[HERE, ALPHA2] + 2.0 * pair2 + last[ALPHA2])
     states[END, MESH_IMPULSE] = states[HERE, MESH_IMPULSE] + weight * (
-        points[HERE, MESH_FORCE] + 2.0 * (points[MIDDLE, MESH_FORCE] + points[LATE, MESH_FORCE]) + points[END, MESH_FORCE]
+        points[HERE, MESH_FORCE] + 2.0 * (force_middle + force_late) + force_last
     )
     lag_end = 0.0 if nominal else constants.teeth1 * (states[END, THETA1] - theta_end)
     evaluate(constants, speed, load, states, END, flags, excs, END, lag_end, points, END)
@@ -507,6 +574,12 @@ def hermite_root(v0, r0, v1, r1):
 def has_rate(event):
     """Whether the rate of ``event`` is known: clamps have none, it would need accelerations."""
     return event != MESH_CLAMP and event != BEARING_CLAMP and event != BEARING_CLAMP + 1
+
+
+@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+def event_tolerance(event):
+    """How close to zero ``event`` is located, relative to the change of its value."""
+    return GAP_TOLERANCE if has_rate(event) else CLAMP_TOLERANCE
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
@@ -606,7 +679,7 @@ def locate(constants, speed, load, waves, amplitudes, states, flags, phase, poin
     low, high = 0.0, h
     points[LOW, :] = points[HERE, :]
     v_high, r_high = points[END, VALUE + event], points[END, RATE + event]
-    tolerance = EVENT_TOLERANCE * (points[HERE, VALUE + event] - v_high)
+    tolerance = event_tolerance(event) * (points[HERE, VALUE + event] - v_high)
     weight_low, weight_high, side = 1.0, 1.0, 0
     at, lag_end = h, 0.0
     for _ in range(SEARCH_LIMIT):
@@ -624,13 +697,13 @@ def locate(constants, speed, load, waves, amplitudes, states, flags, phase, poin
         earlier = -1
         for other in range(EVENT_COUNT):
             v0, v1 = points[LOW, VALUE + other], points[END, VALUE + other]
-            if other != event and v0 > 0.0 and v1 < -EVENT_TOLERANCE * (v0 - v1):
+            if other != event and v0 > 0.0 and v1 < -event_tolerance(other) * (v0 - v1):
                 earlier = other
         value = points[END, VALUE + (event if earlier < 0 else earlier)]
         if earlier >= 0:
             event, high = earlier, at
             v_high, r_high = value, points[END, RATE + event]
-            tolerance = EVENT_TOLERANCE * (points[LOW, VALUE + event] - value)
+            tolerance = event_tolerance(event) * (points[LOW, VALUE + event] - value)
             weight_low, weight_high, side = 1.0, 1.0, 0
         elif abs(value) <= tolerance or width <= 1e-12 * h:
             return at, event, lag_end, 0
