@@ -16,8 +16,8 @@ class Pace(NamedTuple):
 class Pacer:
     """Deadlines of chunks at a real-time factor; the caller brings the time in ns of a monotonic clock.
 
-    A chunk is due when its last moment has passed on the wall, so that no stamp lies in the future. Chunks that
-    come too late slip: the deadlines behind them move by the lateness, nothing is caught up. Factor 0 is always due.
+    A chunk is due when its last moment has passed on the wall, so that no stamp lies in the future. A chunk that
+    comes too late slips: all later deadlines move by its lateness, nothing is caught up. Factor 0 is always due.
     """
 
     def __init__(self, real_time_factor: float, now_ns: int) -> None:

@@ -8,9 +8,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from fractions import Fraction
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages import Encoder, Record
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.signals import Chunk, Commands, Status
@@ -32,62 +33,22 @@ class Sink(Protocol):
         """Finish; nothing is written afterwards."""
 
 
-class RecordWriter(Protocol):
-    """What ``RecorderSink`` needs of a recorder."""
-
-    def write(self, records: Sequence[Record]) -> None: ...
-
-    def close(self) -> None: ...
-
-
-class ChunkWriter(Protocol):
-    """What ``ViewerSink`` needs of a viewer."""
-
-    def write(self, chunk: Chunk) -> None: ...
-
-    def close(self) -> None: ...
-
-
-class RecorderSink(NamedTuple):
-    """Gives a recorder the messages of a run."""
-
-    recorder: RecordWriter
-
-    def write(self, chunk: Chunk | None, records: Sequence[Record]) -> None:
-        self.recorder.write(records)
-
-    def close(self) -> None:
-        self.recorder.close()
-
-
-class ViewerSink(NamedTuple):
-    """Gives a viewer the chunks of a run."""
-
-    viewer: ChunkWriter
-
-    def write(self, chunk: Chunk | None, records: Sequence[Record]) -> None:
-        if chunk is not None:
-            self.viewer.write(chunk)
-
-    def close(self) -> None:
-        self.viewer.close()
-
-
 class Run:
     """One engine, its messages and the sinks they go to.
 
-    ``epoch_ns`` is the time stamp of simulated time zero. The commands in force are written before the first
-    chunk, whenever they change, and to each sink attached later, stamped at the sample where they take effect.
+    The commands in force are written before the first chunk, whenever they change, and to each sink attached
+    later, stamped at the sample where they take effect. ``duration`` is simulated time in s, 0 for no end.
     """
 
-    def __init__(self, engine: Engine, epoch_ns: int, sinks: Sequence[Sink] = ()) -> None:
+    def __init__(
+        self, engine: Engine, encoder: Encoder, sinks: Sequence[Sink] = (), *, duration: float = 0.0
+    ) -> None:
         self.engine = engine
-        self.epoch_ns = epoch_ns
-        self._encoder = Encoder(engine.parameters, epoch_ns)
+        self._encoder = encoder
         self._sinks = list(sinks)
         self._newcomers: list[Sink] = []
         self._applied: Commands | None = None
-        self._last_sample = _duration_samples(engine.parameters)
+        self._last_sample = _samples(duration, engine.parameters.solver.sample_interval_ns)
         self._end = ""
 
     @property
@@ -105,21 +66,18 @@ class Run:
         """Whether the engine itself ended the run; a reset recovers."""
         return self.engine.status is not Status.RUNNING
 
-    @property
-    def time_ns(self) -> int:
-        """Stamp of the next sample."""
-        return self.epoch_ns + self.engine.sample * self.engine.parameters.solver.sample_interval_ns
-
-    def step(self, commands: Commands | None = None, received: Sequence[Record] = ()) -> Chunk:
+    def step(self, commands: Commands | None = None, received: Sequence[tuple[str, bytes]] = ()) -> Chunk:
         """The next chunk, with ``commands`` in force from its first sample on; at the end a shorter one.
 
-        ``received`` are the command messages behind ``commands``; they are written as they are, before the change
-        they caused. Raises GearboxError if the run has ended.
+        ``received`` are the messages (key in TOPICS, CDR) behind ``commands``, written as they came before the
+        change they caused. Raises GearboxError if the run has ended.
         """
+        if self._end:
+            raise GearboxError(f"the run has ended ({self._end}); reset it to go on")
         if commands is not None:
             self.engine.command(commands)
         applied = self._encoder.applied(self.engine.commands, self.engine.sample)
-        heading = list(received)
+        heading = [Record(topic, applied.time_ns, data) for topic, data in received]
         if self._applied is None:
             heading.insert(0, self._encoder.event(START, self.engine.sample, ""))
         if self._applied != self.engine.commands:
@@ -141,9 +99,9 @@ class Run:
         """Back to the start state and the commands of the parameters; simulated time goes on."""
         self.engine.reset()
         self._end = ""
-        self.mark(RESET, message)
+        self.note(RESET, message)
 
-    def mark(self, kind: str, message: str = "") -> None:
+    def note(self, kind: str, message: str = "") -> None:
         """Write an event that happens before the next sample."""
         self.emit([self._encoder.event(kind, self.engine.sample, message)])
 
@@ -156,7 +114,7 @@ class Run:
         """End the run with a reason, once; sinks stay open for what is still to come."""
         if not self._end:
             self._end = reason
-            self.mark(END, reason)
+            self.note(END, reason)
 
     def attach(self, sink: Sink) -> None:
         """Let ``sink`` have everything from the next chunk on."""
@@ -191,13 +149,12 @@ class Run:
         return min(whole, self._last_sample - self.engine.sample)
 
 
-def _duration_samples(parameters: Parameters) -> int | None:
-    """Samples in ``pacing.duration``, the last one begun included; None for a run without end."""
-    duration = parameters.pacing.duration
+def _samples(duration: float, interval_ns: int) -> int | None:
+    """Samples in ``duration``, the last one begun included; None for a run without end."""
     if duration == 0.0:
         return None
     # The decimal that the user typed, not the binary fraction beside it, decides how many samples fit.
-    return math.ceil(Fraction(repr(duration)) * 10**9 / parameters.solver.sample_interval_ns)
+    return math.ceil(Fraction(repr(duration)) * 10**9 / interval_ns)
 
 
 def advice(parameters: Parameters) -> list[str]:
@@ -215,6 +172,6 @@ def advice(parameters: Parameters) -> list[str]:
     acceleration = surplus / (gears.driving.inertia + gears.driven.inertia * ratio**2)
     return [
         f"operation.drive_torque = {operation.drive_torque:g} N m does not balance the load of "
-        f"{load * ratio:g} N m at the driving shaft: the speed changes by {acceleration:.4g} rad/s^2 from the start; "
-        "balance them or set operation.control: speed"
+        f"{load * ratio:g} N m at the driving shaft: the speed changes by {acceleration:.4g} rad/s^2 from the "
+        "start; balance them or set operation.control: speed"
     ]

@@ -9,7 +9,7 @@ import pytest
 
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.messages import STRING, TOPICS, applied_commands, deserialize, waveform_samples
+from gear_dynamics_ros.messages import TOPICS, Encoder, applied_commands, deserialize, waveform_samples
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.run import Run, advice
 from gear_dynamics_ros.signals import Commands
@@ -57,7 +57,9 @@ class Keeper:
 
 def start(**values):
     keeper = Keeper()
-    return Run(Engine(Parameters.from_flat(values)), EPOCH, [keeper]), keeper
+    parameters = Parameters.from_flat(values)
+    run = Run(Engine(parameters), Encoder(parameters, EPOCH), [keeper], duration=parameters.pacing.duration)
+    return run, keeper
 
 
 def test_commands_in_force_stand_before_the_chunk_they_change():
@@ -71,9 +73,7 @@ def test_commands_in_force_stand_before_the_chunk_they_change():
     assert keeper.applied == [(0, first), (CHUNK, second)]
     topics = [record.topic for record in keeper.records]
     assert topics[:2] == ["event", "applied_command"]
-    assert (
-        topics.index("applied_command", 2) < [k for k, topic in enumerate(topics) if topic == "waveform"][1]
-    )
+    assert topics.index("applied_command", 2) < topics.index("waveform", topics.index("waveform") + 1)
     assert np.all(keeper.chunks[0]["load_torque"] == 30.0)
     assert np.all(keeper.chunks[1]["load_torque"] == 12.0)
 

@@ -1,0 +1,112 @@
+"""Commands on their way from whoever sends them to the next chunk edge: checked, counted, handed over once."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from gear_dynamics_ros.parameters import Parameters, specifications
+
+
+class Delivery(NamedTuple):
+    """What came in since the last chunk edge."""
+
+    changes: dict[str, float]  # field of Commands: value; empty if nothing came
+    received: list[tuple[str, bytes]]  # topic key and CDR of each message behind them
+    age_ns: int  # wall time since the last good command, or since ``restart``
+
+
+class Tally(NamedTuple):
+    """Commands counted since the start."""
+
+    accepted: int
+    refused: int
+    last_refusal: str
+
+
+class Mailbox:
+    """Takes commands from one thread and hands them to another; times are ns of one monotonic clock."""
+
+    def __init__(self, parameters: Parameters, now_ns: int) -> None:
+        rows = specifications()
+        speed_limit = parameters.operation.speed_limit
+        torques = {name: rows[f"operation.{name}"] for name in ("drive_torque", "load_torque")}
+        self._bounds = {
+            name: (row.minimum or -math.inf, row.maximum or math.inf) for name, row in torques.items()
+        } | {"speed": (-speed_limit, speed_limit)}
+        self._lock = threading.Lock()
+        self._changes: dict[str, float] = {}
+        self._received: list[tuple[str, bytes]] = []
+        self._last_ns = now_ns
+        self._accepted = 0
+        self._refused = 0
+        self._last_refusal = ""
+
+    def offer(self, topic: str, changes: Mapping[str, float], data: bytes, now_ns: int) -> str:
+        """Take the command message ``data`` that means ``changes``; returns why it was refused, or nothing.
+
+        A message is taken as a whole or not at all; of several for one command the last counts.
+        """
+        refusal = next(filter(None, (self._refusal(name, value) for name, value in changes.items())), "")
+        with self._lock:
+            if refusal:
+                self._refused += 1
+                self._last_refusal = refusal
+            elif changes:
+                self._accepted += 1
+                self._last_ns = now_ns
+                self._changes.update(changes)
+                self._received.append((topic, data))
+        return refusal
+
+    def take(self, now_ns: int) -> Delivery:
+        """Everything since the last call."""
+        with self._lock:
+            delivery = Delivery(self._changes, self._received, now_ns - self._last_ns)
+            self._changes, self._received = {}, []
+            return delivery
+
+    def restart(self, now_ns: int, *, forget: bool = False) -> None:
+        """Count the age of commands from now on; ``forget`` what has not been taken yet."""
+        with self._lock:
+            self._last_ns = now_ns
+            if forget:
+                self._changes, self._received = {}, []
+
+    def tally(self) -> Tally:
+        """Counts of this moment."""
+        with self._lock:
+            return Tally(self._accepted, self._refused, self._last_refusal)
+
+    def _refusal(self, name: str, value: float) -> str:
+        lowest, highest = self._bounds[name]
+        if lowest <= value <= highest:  # false for NaN
+            return ""
+        return f"{name} {value:g} refused: not within {lowest:g} to {highest:g}; the last good one stays"
+
+
+def joint_changes(
+    prefix: str, names: Sequence[str], velocity: Sequence[float], effort: Sequence[float]
+) -> tuple[dict[str, float], list[str]]:
+    """Changes that a JointState means, and the names in it of joints that take no commands.
+
+    An empty array, a missing or a NaN entry leaves that command as it is.
+    """
+    wanted: dict[str, float] = {}
+    unknown: list[str] = []
+    for index, name in enumerate(names):
+        if name == f"{prefix}driving":
+            _put(wanted, "speed", velocity, index)
+            _put(wanted, "drive_torque", effort, index)
+        elif name == f"{prefix}driven":
+            _put(wanted, "load_torque", effort, index)
+        else:
+            unknown.append(name)
+    return wanted, unknown
+
+
+def _put(wanted: dict[str, float], name: str, values: Sequence[float], index: int) -> None:
+    if index < len(values) and not math.isnan(values[index]):
+        wanted[name] = float(values[index])
