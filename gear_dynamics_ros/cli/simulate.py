@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import time
 from collections.abc import Sequence
@@ -16,7 +17,7 @@ from gear_dynamics_ros.parameters import Parameters, load
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.resources import share_file
 from gear_dynamics_ros.run import Run
-from gear_dynamics_ros.signals import Chunk, Status
+from gear_dynamics_ros.signals import Chunk
 
 EPOCH_NS = 0  # simulated time is all the time there is
 
@@ -46,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--params-file", type=Path, help="ROS parameter file (default: the package's config/gearbox.yaml)"
     )
-    parser.add_argument("--duration", type=float, required=True, metavar="S", help="simulated time in s")
+    parser.add_argument("--duration", type=float, metavar="S", help="simulated time in s (default: pacing.duration)")
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="recording to make")
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", help="override a parameter; may be repeated"
@@ -57,45 +58,38 @@ def main(argv: Sequence[str] | None = None) -> int:
 def simulate(arguments: argparse.Namespace) -> int:
     """Simulate and record; exit code 1 if the run ended before its time."""
     parameters = load(arguments.params_file or share_file("config/gearbox.yaml"), arguments.set)
-    chunks = whole_chunks(arguments.duration, parameters)
+    duration = checked_duration(arguments.duration, parameters)
     engine = Engine(parameters)
     recorder = Recorder(arguments.output, parameters, engine.checkpoint(), EPOCH_NS)
-    run = Run(engine, Encoder(parameters, EPOCH_NS), [RecorderSink(recorder)])
+    run = Run(engine, Encoder(parameters, EPOCH_NS), [RecorderSink(recorder)], duration=duration)
+    interval = parameters.solver.sample_interval_ns / 1e9
     try:
-        first = run.step()
-        began = time.perf_counter()
-        last = first
-        with Progress("simulated", chunks) as progress:
-            for done in range(2, chunks + 1):
-                if last.status is not Status.RUNNING:
-                    break
-                last = run.step()
-                progress(done)
-        if last.status is Status.RUNNING:
-            run.note("end", "duration reached")
+        run.step()  # compiles, which is not part of the pace told below
+        warm, began = engine.sample, time.perf_counter()
+        with Progress("simulated", round(duration / interval)) as progress:
+            while not run.end:
+                run.step()
+                progress(engine.sample)
     finally:
         run.close()
     elapsed = time.perf_counter() - began
-    simulated = (engine.sample - len(first)) * parameters.solver.sample_interval_ns / 1e9
+    pace = (engine.sample - warm) * interval / elapsed
     print(
-        f"{arguments.output}: {engine.sample} samples, {engine.sample * parameters.solver.sample_interval_ns / 1e9:g} s"
-        f" at {simulated / elapsed:.2f} times real time, recording included"
+        f"{arguments.output}: {engine.sample} samples, {engine.sample * interval:g} s at {pace:.2f} times real time, "
+        "recording included"
     )
-    if last.status is not Status.RUNNING:
-        raise GearboxError(last.message)
+    if run.tripped:
+        raise GearboxError(run.end)
     return 0
 
 
-def whole_chunks(duration: float, parameters: Parameters) -> int:
-    """Number of chunks in ``duration`` s. Raises UsageError unless it is a whole, positive number."""
-    chunk = parameters.solver.chunk
-    count = round(duration / chunk) if 0.0 < duration < float("inf") else 0
-    if count < 1 or abs(count * chunk - duration) > 1e-9 * duration:
-        raise UsageError(
-            f"--duration = {duration:g} s is no whole number of chunks: give a positive multiple of "
-            f"solver.chunk = {chunk:g} s, or set another solver.chunk"
-        )
-    return count
+def checked_duration(wanted: float | None, parameters: Parameters) -> float:
+    """Simulated time in s: ``--duration`` or ``pacing.duration``. Raises UsageError unless positive and finite."""
+    duration = parameters.pacing.duration if wanted is None else wanted
+    if not 0.0 < duration < math.inf:
+        name = "pacing.duration" if wanted is None else "--duration"
+        raise UsageError(f"{name} = {duration:g} s: must be positive and finite; give --duration S")
+    return duration
 
 
 if __name__ == "__main__":
