@@ -27,8 +27,7 @@ from gear_dynamics_ros.engine import kernel_hash
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages import TOPICS, Encoder, Record, message_class, resolve, serialize, stamp
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.recording import writer
-from gear_dynamics_ros.recording.survey import seal
+from gear_dynamics_ros.recording import mcap_writer, writer
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.signals import CHANNEL_NAMES, Chunk, Commands, Counters, Status
 
@@ -323,16 +322,7 @@ def test_a_file_cut_anywhere_reads_up_to_the_cut(bag: Path, tmp_path: Path) -> N
         assert equal(rows, expected[: len(rows)])
         # no more than the chunk that was cut is gone
         kept.append(len(rows))
-        assert len(rows) * 8 * len(CHANNEL_NAMES) > length - 2 * writer.CHUNK_BYTES
-        seal(path)
-        sealed = recording.open(path)
-        assert sealed.complete
-        assert equal(sealed.waveform(), rows)
-        with path.open("rb") as stream:
-            counted = [
-                len(message.data) for _, _, message in make_reader(stream, True).iter_messages(WAVEFORM)
-            ]
-        assert len(counted) * ROWS == len(rows)
+        assert len(rows) * 8 * len(CHANNEL_NAMES) > length - 2 * mcap_writer.CHUNK_BYTES
         path.unlink()
     assert kept == sorted(kept) and kept[-1] > 0
 

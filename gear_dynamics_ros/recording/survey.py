@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import struct
+import zlib
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
-from pathlib import Path
 from typing import Any, BinaryIO, Final, Protocol, TypeVar
 
 from mcap.data_stream import ReadDataStream, RecordBuilder
@@ -20,9 +21,7 @@ from mcap.records import (
     Chunk,
     ChunkIndex,
     DataEnd,
-    Footer,
     Message,
-    MessageIndex,
     Metadata,
     MetadataIndex,
     Schema,
@@ -35,6 +34,7 @@ from mcap.writer import MCAP0_MAGIC
 from gear_dynamics_ros.errors import GearboxError
 
 _HEAD: Final = struct.Struct("<BQ")
+_FOOTER: Final = struct.Struct("<BQQQ")
 T = TypeVar("T")
 
 
@@ -49,12 +49,11 @@ class Survey:
     complete: bool  # the file ends with its own summary
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
-    chunks: list[ChunkIndex] = field(default_factory=list)
+    chunks: list[ChunkIndex] = field(default_factory=list)  # offsets inside are 0 where a broken file is read
     attachments: list[AttachmentIndex] = field(default_factory=list)
     metadata: list[MetadataIndex] = field(default_factory=list)
     counts: dict[int, int] = field(default_factory=dict)  # channel -> messages
     end: int = 0  # where the last whole record of data ends
-    unindexed: list[MessageIndex] = field(default_factory=list)  # of a last chunk whose own index is cut
 
     @property
     def start_ns(self) -> int:
@@ -106,18 +105,31 @@ def read_metadata(stream: BinaryIO, found: Survey) -> dict[str, dict[str, str]]:
     return {record.name: record.metadata for record in records}
 
 
-def seal(path: Path) -> Survey:
-    """Give a file that broke off the indexes and summary it lacks, cutting the piece of a record at its end.
+def ending(found: Survey) -> bytes:
+    """What follows the last record of data: indexes and summary."""
+    summary_start = found.end + len(encode((DataEnd(0),)))
+    summary = encode(
+        (
+            *found.schemas.values(),
+            *found.channels.values(),
+            _statistics(found),
+            *found.chunks,
+            *found.attachments,
+            *found.metadata,
+        )
+    )
+    # The checksum covers the summary and the footer up to the checksum itself.
+    footer = _FOOTER.pack(Opcode.FOOTER, 20, summary_start, 0)
+    checksum = zlib.crc32(footer, zlib.crc32(summary))
+    return b"".join((encode((DataEnd(0),)), summary, footer, struct.pack("<I", checksum), MCAP0_MAGIC))
 
-    Raises OSError if the disk refuses, GearboxError if this is no MCAP file.
-    """
-    with path.open("r+b") as stream:
-        found = survey(stream)
-        if not found.complete:
-            stream.truncate(found.end)
-            stream.seek(found.end)
-            stream.write(_ending(found))
-    return found
+
+def encode(records: Iterable[_Written]) -> bytes:
+    """MCAP records as bytes."""
+    builder: Any = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    return bytes(builder.end())
 
 
 def _from_summary(stream: BinaryIO) -> Survey | None:
@@ -146,31 +158,19 @@ def _whole(summary: Summary, statistics: Statistics) -> Survey:
 
 def _from_records(stream: BinaryIO) -> Survey:
     found = Survey(complete=False, end=len(MCAP0_MAGIC))
-    last: Chunk | None = None
     for offset, opcode, body in _records(stream):
-        if opcode == Opcode.MESSAGE_INDEX and last is not None:
-            _note_index(found, offset, _HEAD.size + len(body), _parse(body, MessageIndex.read))
-            continue
-        if last is not None:
-            found.end = offset
-            last = None
+        length = _HEAD.size + len(body)
         if opcode == Opcode.DATA_END:
             break
         if opcode == Opcode.CHUNK:
-            last = _parse(body, Chunk.read)
-            if not _note_chunk(found, offset, _HEAD.size + len(body), last, stream.name):
-                last = None
+            if not _note_chunk(found, offset, length, _parse(body, Chunk.read), stream.name):
                 break
         elif opcode == Opcode.ATTACHMENT:
-            found.attachments.append(
-                _attachment_index(offset, _HEAD.size + len(body), _parse(body, Attachment.read))
-            )
+            found.attachments.append(_attachment_index(offset, length, _parse(body, Attachment.read)))
         elif opcode == Opcode.METADATA:
             name = _parse(body, Metadata.read).name
-            found.metadata.append(MetadataIndex(offset=offset, length=_HEAD.size + len(body), name=name))
-        found.end = offset + _HEAD.size + len(body)
-    if last is not None:
-        _index_last(found, last, stream.name)
+            found.metadata.append(MetadataIndex(offset=offset, length=length, name=name))
+        found.end = offset + length
     return found
 
 
@@ -193,13 +193,16 @@ def _note_chunk(found: Survey, offset: int, length: int, chunk: Chunk, name: str
         content = _unpack(chunk, name)
     except GearboxError:
         return False
+    inside: Counter[int] = Counter()
     for record in content:
         if isinstance(record, Schema):
             found.schemas[record.id] = record
         elif isinstance(record, Channel):
             found.channels[record.id] = record
         else:
-            found.counts[record.channel_id] = found.counts.get(record.channel_id, 0) + 1
+            inside[record.channel_id] += 1
+    for number, count in inside.items():
+        found.counts[number] = found.counts.get(number, 0) + count
     found.chunks.append(
         ChunkIndex(
             chunk_length=length,
@@ -208,50 +211,12 @@ def _note_chunk(found: Survey, offset: int, length: int, chunk: Chunk, name: str
             compressed_size=len(chunk.data),
             message_end_time=chunk.message_end_time,
             message_index_length=0,
-            message_index_offsets={},
+            message_index_offsets=dict.fromkeys(inside, 0),
             message_start_time=chunk.message_start_time,
             uncompressed_size=chunk.uncompressed_size,
         )
     )
     return True
-
-
-def _note_index(found: Survey, offset: int, length: int, index: MessageIndex) -> None:
-    chunk = found.chunks[-1]
-    chunk.message_index_offsets[index.channel_id] = offset
-    chunk.message_index_length += length
-
-
-def _index_last(found: Survey, chunk: Chunk, name: str) -> None:
-    """Replace the index of the last chunk, which may be cut, by a new one from the chunk's content."""
-    indexes: dict[int, MessageIndex] = {}
-    offset = 0
-    for record in _unpack(chunk, name):
-        if isinstance(record, Message):
-            index = indexes.setdefault(record.channel_id, MessageIndex(record.channel_id, []))
-            index.records.append((record.log_time, offset))
-        offset += _length(record)
-    found.unindexed = list(indexes.values())
-    last = found.chunks[-1]
-    last.message_index_length = 0
-    for index in found.unindexed:
-        last.message_index_offsets[index.channel_id] = found.end + last.message_index_length
-        last.message_index_length += _length(index)
-
-
-def _ending(found: Survey) -> bytes:
-    """Everything after the last whole record of data."""
-    summary_start = found.end + sum(map(_length, found.unindexed)) + _length(DataEnd(0))
-    summary: tuple[_Written, ...] = (
-        *found.schemas.values(),
-        *found.channels.values(),
-        _statistics(found),
-        *found.chunks,
-        *found.attachments,
-        *found.metadata,
-        Footer(summary_offset_start=0, summary_start=summary_start, summary_crc=0),
-    )
-    return _bytes((*found.unindexed, DataEnd(0), *summary)) + MCAP0_MAGIC
 
 
 def _statistics(found: Survey) -> Statistics:
@@ -290,14 +255,3 @@ def _unpack(chunk: Chunk, name: str) -> list[Schema | Channel | Message]:
 
 def _parse(body: bytes, read: Callable[[ReadDataStream], T]) -> T:
     return read(ReadDataStream(BytesIO(body)))
-
-
-def _length(record: _Written) -> int:
-    return len(_bytes((record,)))
-
-
-def _bytes(records: Iterable[_Written]) -> bytes:
-    builder: Any = RecordBuilder()
-    for record in records:
-        record.write(builder)
-    return bytes(builder.end())

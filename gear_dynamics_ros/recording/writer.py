@@ -13,9 +13,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any, Final, NamedTuple, cast
-
-from mcap.writer import CompressionType, Writer
+from typing import Any, Final, NamedTuple
 
 from gear_dynamics_ros import __version__
 from gear_dynamics_ros.engine import kernel_hash
@@ -24,9 +22,8 @@ from gear_dynamics_ros.messages import TOPICS, Record, Topic, resolve
 from gear_dynamics_ros.parameters import Parameters, dump
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.layout import Part, RunMetadata
-from gear_dynamics_ros.recording.survey import seal
+from gear_dynamics_ros.recording.mcap_writer import McapWriter
 
-CHUNK_BYTES: Final = 1 << 20
 # Three seconds of every channel at 100 kHz: longer than a disk usually pauses.
 QUEUE_BYTES: Final = 64 << 20
 # Half of the second that a crash may cost; the rest is for the queue and the disk.
@@ -246,123 +243,69 @@ class Recorder:
 
 
 class _PartWriter:
-    """One MCAP file, complete in itself."""
+    """One MCAP file of a recording, complete in itself."""
 
     def __init__(self, path: Path, topics: Mapping[str, tuple[str, Topic]]) -> None:
         self._path = path
         self._topics = topics
         self._channels: dict[str, int] = {}
-        self._counts: Counter[str] = Counter()
-        self._start_ns: int | None = None
-        self._end_ns = 0
-        self._stream = _Stream(path)
-        self._safe = 0
-        self._fresh = False
+        self._mcap = McapWriter(path, f"{layout.RUN_METADATA} {__version__}")
         self.finished = False
-        self.size = 0
-        self._mcap: Any = Writer(
-            cast("IO[Any]", self._stream), chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD
-        )
+
+    @property
+    def size(self) -> int:
+        """Bytes in the file."""
+        return self._mcap.survey.end
 
     def begin(self, run: RunMetadata, parameters: str, start: str) -> None:
-        """Header, attachments and channels: whatever a reader needs before the first message."""
-        self._mcap.start(profile="ros2", library=f"{layout.RUN_METADATA} {run.version}")
+        """Attachments and channels: whatever a reader needs before the first message."""
         self._mcap.add_metadata(layout.RUN_METADATA, run.to_text())
-        attachments = (
-            (layout.PARAMETERS_ATTACHMENT, "application/yaml", parameters),
-            (layout.START_ATTACHMENT, "application/json", start),
+        self._mcap.add_attachment(
+            run.epoch_ns, layout.PARAMETERS_ATTACHMENT, "application/yaml", parameters.encode()
         )
-        for name, media_type, text in attachments:
-            self._mcap.add_attachment(run.epoch_ns, run.epoch_ns, name, media_type, text.encode())
-        schemas: dict[str, int] = {}
+        self._mcap.add_attachment(run.epoch_ns, layout.START_ATTACHMENT, "application/json", start.encode())
         for key, (name, topic) in self._topics.items():
-            if topic.type not in schemas:
-                schemas[topic.type] = self._mcap.register_schema(
-                    topic.type, "ros2msg", layout.schema(topic.type)
-                )
-            self._channels[key] = self._mcap.register_channel(
-                name, "cdr", schemas[topic.type], layout.channel_metadata(topic)
+            self._channels[key] = self._mcap.add_channel(
+                name, topic.type, layout.schema(topic.type), layout.channel_metadata(topic)
             )
-        self._safe = self.size = self._stream.position
-        self._stream.sync()
+        self._mcap.sync()
 
     def write(self, record: Record, sequence: int) -> None:
         """Add a message."""
-        self._mcap.add_message(
-            self._channels[record.topic], record.time_ns, record.data, record.time_ns, sequence
-        )
-        self._safe = self.size = self._stream.position
-        self._counts[self._topics[record.topic][0]] += 1
-        self._start_ns = record.time_ns if self._start_ns is None else min(self._start_ns, record.time_ns)
-        self._end_ns = max(self._end_ns, record.time_ns)
-        self._fresh = True
+        self._mcap.add_message(self._channels[record.topic], sequence, record.time_ns, record.data)
 
     def flush(self) -> None:
-        """End the chunk and bring it to the disk, if there is anything new."""
-        if not self._fresh:
-            return
-        self._fresh = False
-        self._mcap.flush()
-        self._safe = self.size = self._stream.position
-        self._stream.sync()
+        """Bring every message to the disk."""
+        self._mcap.end_chunk()
+        self._mcap.sync()
 
     def finish(self) -> Part:
         """Complete the file."""
-        self._mcap.flush()
-        self._safe = self._stream.position
+        self._mcap.end_chunk()
         part = self._part()
-        topics = dict(self._topics.values())
-        self._mcap.add_metadata(layout.ROSBAG2_METADATA, layout.embedded_metadata(topics, part))
+        embedded = layout.embedded_metadata(dict(self._topics.values()), part)
+        self._mcap.add_metadata(layout.ROSBAG2_METADATA, embedded)
         self._mcap.finish()
-        self._stream.sync()
-        self.size = self._stream.position
-        self._stream.close()
+        self._mcap.close()
         self.finished = True
         return part
 
     def salvage(self) -> Part:
         """Complete the file with what was written whole, after a write failed."""
-        self._stream.close()
-        os.truncate(self._path, self._safe)
-        found = seal(self._path)
-        self.size = self._path.stat().st_size
+        self._mcap.abandon_chunk()
+        self._mcap.finish()
+        self._mcap.close()
         self.finished = True
-        return Part(self._path.name, found.start_ns, found.end_ns, found.topic_counts())
+        return self._part()
 
     def discard(self) -> None:
         """Remove the file again."""
-        self._stream.close()
+        self._mcap.close()
         self._path.unlink()
 
     def _part(self) -> Part:
-        return Part(self._path.name, self._start_ns or 0, self._end_ns, dict(self._counts))
-
-
-class _Stream:
-    """Unbuffered new file: after a failed write it is known how far the file is whole."""
-
-    def __init__(self, path: Path) -> None:
-        self._file = path.open("xb", buffering=0)
-        self.position = 0
-
-    def write(self, data: bytes) -> int:
-        rest = memoryview(data)
-        while rest:
-            rest = rest[self._file.write(rest) :]
-        self.position += len(data)
-        return len(data)
-
-    def tell(self) -> int:
-        return self.position
-
-    def flush(self) -> None:
-        """Nothing is held back."""
-
-    def sync(self) -> None:
-        os.fsync(self._file.fileno())
-
-    def close(self) -> None:
-        self._file.close()
+        found = self._mcap.survey
+        return Part(self._path.name, found.start_ns, found.end_ns, found.topic_counts())
 
 
 def _make_folder(path: Path) -> None:
