@@ -94,6 +94,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     recorder.write([encoder.event("end", 60 * ROWS, "as asked")])
     recorder.close()
     assert recorder.error is None
+    assert recorder.stats.bytes == sum(part.stat().st_size for part in path.glob("*.mcap"))
     return path
 
 

@@ -72,7 +72,7 @@ class Recorder:
         self._parts: list[Part] = []
         self._written = 0
         self._lost = 0
-        self._bytes = 0
+        self._earlier_bytes = 0
         self._queue: deque[Sequence[Record] | _Split] = deque()
         self._queued = 0
         self._queued_bytes = 0
@@ -104,7 +104,7 @@ class Recorder:
                 self._queued,
                 self._queued_bytes,
                 self._written,
-                self._bytes + self._part.size * (not self._part.finished),
+                self._earlier_bytes + self._part.size,
                 self._lost,
             )
 
@@ -143,7 +143,7 @@ class Recorder:
     def _work(self) -> None:
         try:
             self._write_all()
-            self._finish_part(self._part)
+            self._parts.append(self._part.finish())
             self._write_metadata()
             self._finished = True
         except Exception as error:
@@ -198,15 +198,14 @@ class Recorder:
         return part
 
     def _next_part(self, start: Mapping[str, Any]) -> None:
-        self._finish_part(self._part)
-        self._part = self._open_part(start)
+        self._parts.append(self._part.finish())
+        part = self._open_part(start)
+        with self._changed:
+            self._earlier_bytes += self._part.size
+            self._part = part
         time_ns = self._run.epoch_ns + int(start["sample"]) * self._run.sample_interval_ns
         for key, data in self._latched.items():
             self._write_record(Record(key, time_ns, data))
-
-    def _finish_part(self, part: _PartWriter) -> None:
-        self._parts.append(part.finish())
-        self._bytes += part.size
 
     def _write_metadata(self) -> None:
         text = layout.metadata_yaml(dict(self._topics.values()), self._parts)
@@ -238,7 +237,7 @@ class Recorder:
                 self._parts.append(self._part.salvage())
             self._write_metadata()
             self._finished = True
-        except (OSError, GearboxError):
+        except OSError:
             self._finished = False
 
 
