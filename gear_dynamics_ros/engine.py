@@ -41,7 +41,9 @@ class Engine:
         self._flags = np.zeros(kernel.FLAGS_SIZE, dtype=np.int64)
         if operation.initial == "touching":
             self._y[kernel.OMEGA1] = operation.speed
-            self._y[kernel.OMEGA2] = operation.speed * self._constants.base_radius1 / self._constants.base_radius2
+            self._y[kernel.OMEGA2] = (
+                operation.speed * self._constants.base_radius1 / self._constants.base_radius2
+            )
         self._y[kernel.DRIVE_TORQUE] = operation.drive_torque
         self._y[kernel.GOVERNOR] = operation.drive_torque
         self._y[kernel.IMPACT_SPEED : kernel.IMPACT_SPEED + 2] = self._constants.minimum_impact_speed
@@ -131,7 +133,9 @@ class Engine:
                 f"lower solver.step = {self.parameters.solver.step:g} s or check the parameters"
             )
         if self.status is Status.CENTRES_PRESSED:
-            return "the centres are pressed together: no backlash is left (b1 <= 0) and both flanks would touch"
+            return (
+                "the centres are pressed together: no backlash is left (b1 <= 0) and both flanks would touch"
+            )
         return ""
 
 

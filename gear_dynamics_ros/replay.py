@@ -49,7 +49,9 @@ def verify(recording: Recording, progress: Callable[[int], None] | None = None) 
     difference = None
     for first, recorded in recording.chunks():
         _act(engine, actions, first)
-        chunk = engine.advance(len(recorded)).samples if engine.sample == first and not engine.status else None
+        chunk = (
+            engine.advance(len(recorded)).samples if engine.sample == first and not engine.status else None
+        )
         simulated = None if chunk is None else chunk[:, columns]
         difference = _first_difference(first, recorded, simulated, recording.channel_names)
         if difference is not None:
@@ -63,12 +65,15 @@ def verify(recording: Recording, progress: Callable[[int], None] | None = None) 
 
 def origins(recording: Recording) -> list[str]:
     """What of the program differs between the recording and this installation, one line each."""
-    pairs = (("version", recording.version, __version__), ("kernel hash", recording.kernel_hash, kernel_hash()))
+    pairs = (
+        ("version", recording.version, __version__),
+        ("kernel hash", recording.kernel_hash, kernel_hash()),
+    )
     return [f"{name}: recorded by {theirs}, this is {ours}" for name, theirs, ours in pairs if theirs != ours]
 
 
 def _actions(recording: Recording) -> list[tuple[int, Commands | None]]:
-    """Commands, and resets as None, in the order of their samples; a reset comes before commands of its sample."""
+    """Commands, and resets as None, by sample; a reset comes before the commands of its sample."""
     resets = [(event.sample, 0, None) for event in recording.events if event.kind == RESET]
     commands = [(sample, 1, values) for sample, values in recording.commands]
     ordered = sorted([*resets, *commands], key=lambda action: action[:2])

@@ -87,9 +87,9 @@ class Chunk:
     """The samples of one engine call, [t0, t0 + T).
 
     ``samples`` has shape (n, 28), one column a CHANNELS entry, C-contiguous and never written to again.
-    ``angles`` has shape (n, 2): shaft angles of driving and driven gear in rad, accumulated over all revolutions
-    since the start or the last reset.
-    ``status`` other than RUNNING means the run ended at the last sample; ``message`` then says why.
+    ``angles`` has shape (n, 2): shaft angles of driving and driven gear in rad, accumulated over all
+    revolutions since the start or the last reset. ``status`` other than RUNNING means the run ended at the
+    last sample; ``message`` then says why.
     """
 
     first_sample: int

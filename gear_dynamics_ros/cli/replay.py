@@ -55,14 +55,15 @@ def verify_bag(arguments: argparse.Namespace) -> int:
         result = replay.verify(bag, progress)
     if result.difference is None:
         print(
-            f"{bag.path}: {result.samples} samples of {len(bag.channel_names)} channels came out the same to the "
-            f"bit; {result.simulated:.6g} s in {result.elapsed:.2f} s"
+            f"{bag.path}: {result.samples} samples of {len(bag.channel_names)} channels came out the same "
+            f"to the bit; {result.simulated:.6g} s in {result.elapsed:.2f} s"
         )
         return 0
     sample, channel, recorded, simulated = result.difference
     came = "the run had ended" if simulated is None else f"now {simulated!r}"
     print(
-        f"replay: error: {bag.path}: sample {sample}, {channel}: recorded {recorded!r}, {came}", file=sys.stderr
+        f"replay: error: {bag.path}: sample {sample}, {channel}: recorded {recorded!r}, {came}",
+        file=sys.stderr,
     )
     for line in replay.origins(bag):
         print(f"replay: {line}", file=sys.stderr)

@@ -47,10 +47,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--params-file", type=Path, help="ROS parameter file (default: the package's config/gearbox.yaml)"
     )
-    parser.add_argument("--duration", type=float, metavar="S", help="simulated time in s (default: pacing.duration)")
+    parser.add_argument(
+        "--duration", type=float, metavar="S", help="simulated time in s (default: pacing.duration)"
+    )
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="recording to make")
     parser.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", help="override a parameter; may be repeated"
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="override a parameter; may be repeated",
     )
     return guarded(simulate, parser, argv)
 
@@ -75,8 +81,8 @@ def simulate(arguments: argparse.Namespace) -> int:
     elapsed = time.perf_counter() - began
     pace = (engine.sample - warm) * interval / elapsed
     print(
-        f"{arguments.output}: {engine.sample} samples, {engine.sample * interval:g} s at {pace:.2f} times real time, "
-        "recording included"
+        f"{arguments.output}: {engine.sample} samples, {engine.sample * interval:g} s at {pace:.2f} times "
+        "real time, recording included"
     )
     if run.tripped:
         raise GearboxError(run.end)
@@ -84,7 +90,7 @@ def simulate(arguments: argparse.Namespace) -> int:
 
 
 def checked_duration(wanted: float | None, parameters: Parameters) -> float:
-    """Simulated time in s: ``--duration`` or ``pacing.duration``. Raises UsageError unless positive and finite."""
+    """Simulated time in s: ``--duration`` or ``pacing.duration``. Raises UsageError unless positive."""
     duration = parameters.pacing.duration if wanted is None else wanted
     if not 0.0 < duration < math.inf:
         name = "pacing.duration" if wanted is None else "--duration"

@@ -17,9 +17,9 @@ from gear_dynamics_ros.physics.surface import Surface, fractal_surface
 class Excitations(NamedTuple):
     """Every periodic excitation as one trigonometric series over the hunting cycle.
 
-    ``orders`` (n,) waves per cycle; ``amplitudes`` (2, n, EXCITATIONS), of cosines and of sines: surface height z1 + z2,
-    its first and second derivative by the mesh phase, stiffness modulation and slope, static error with two
-    derivatives; m and rad, stiffness dimensionless. n is a whole number of vector blocks.
+    ``orders`` (n,) waves per cycle; ``amplitudes`` (2, n, EXCITATIONS), of cosines and of sines: surface
+    height z1 + z2, its first and second derivative by the mesh phase, stiffness modulation and slope, static
+    error with two derivatives; m and rad, stiffness dimensionless. n is a whole number of vector blocks.
     """
 
     orders: NDArray[np.float64]
@@ -44,8 +44,10 @@ def mesh_damping(parameters: Parameters) -> float:
     gears = parameters.gears
     r1, r2 = base_radii(parameters)
     j1, j2 = gears.driving.inertia, gears.driven.inertia
-    return 2.0 * parameters.mesh.damping_ratio * math.sqrt(
-        parameters.mesh.stiffness * j1 * j2 / (r1 * r1 * j2 + r2 * r2 * j1)
+    return (
+        2.0
+        * parameters.mesh.damping_ratio
+        * math.sqrt(parameters.mesh.stiffness * j1 * j2 / (r1 * r1 * j2 + r2 * r2 * j1))
     )
 
 
@@ -83,7 +85,7 @@ def surfaces(parameters: Parameters) -> tuple[Surface, Surface]:
 
 
 def excitations(parameters: Parameters) -> Excitations:
-    """Table of surfaces, stiffness and static error; waves of the same order share a row. (16)-(18), (24), (25)."""
+    """Table of surfaces, stiffness and static error, (16)-(18), (24), (25); equal orders share a row."""
     turns = hunting_turns(parameters)
     teeth = parameters.gears.driving.teeth
     rows: dict[int, NDArray[np.float64]] = {}
@@ -171,7 +173,8 @@ def constants(parameters: Parameters) -> np.record:
     record = np.zeros(1, dtype=kernel.CONSTANTS).view(np.recarray)
     for name in kernel.CONSTANTS.names or ():
         record[name] = values[name]
-    return record[0]
+    constants: np.record = record[0]
+    return constants
 
 
 def hertz_factor(parameters: Parameters, length: float) -> float:
@@ -184,4 +187,10 @@ def hertz_factor(parameters: Parameters, length: float) -> float:
 
 def film_factor(parameters: Parameters, bearing: Bearing) -> float:
     """mu (D/2) L^3 / (4 C^2) of (14), (15) in N s."""
-    return parameters.oil.viscosity * 0.5 * bearing.diameter * bearing.length**3 / (4.0 * bearing.oil_clearance**2)
+    return (
+        parameters.oil.viscosity
+        * 0.5
+        * bearing.diameter
+        * bearing.length**3
+        / (4.0 * bearing.oil_clearance**2)
+    )

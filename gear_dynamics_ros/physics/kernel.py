@@ -9,8 +9,16 @@ raises. Arrays passed around: ``y`` the state (STATE_SIZE), ``flags`` the discre
 from __future__ import annotations
 
 import math
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.int64]
+Rates = tuple[float, float, float, float, float, float]
+Mesh = tuple[float, float, float, float, float]
+Bearing = tuple[float, float, float, float, float, float, float, float, float, float, float]
 
 TWO_PI = 2.0 * math.pi
 TURNS_PER_RADIAN = 1.0 / TWO_PI
@@ -56,7 +64,9 @@ PENETRATION, CLOSING, CONTACT_X, CONTACT_Y, FILM_X, FILM_Y = range(30, 42, 2)
 POINT_SIZE = 42
 
 # Columns of the excitation table, one pair of amplitudes (cosine, sine) each, and of its values.
-SURFACE, SURFACE_SLOPE, SURFACE_CURVATURE, STIFFNESS, STIFFNESS_SLOPE, ERROR, ERROR_SLOPE, ERROR_CURVATURE = range(8)
+SURFACE, SURFACE_SLOPE, SURFACE_CURVATURE, STIFFNESS, STIFFNESS_SLOPE, ERROR, ERROR_SLOPE, ERROR_CURVATURE = (
+    range(8)
+)
 EXCITATIONS = 8
 ROW_BLOCK = 8  # rows are padded to whole blocks of vector lanes
 
@@ -73,7 +83,7 @@ SEARCH_LIMIT = 30
 STOPS_PER_STEP = 24
 SHORTEST_SUBSTEP = 1e-9  # of the step
 
-# Rows of states, points and excitations: where the step starts, ends, its middle, the lower end of a search.
+# Rows of states, points and excitations: start, end and middle of the step, lower end of a search.
 HERE, END, MIDDLE, LOW = range(4)
 ROWS = 4
 
@@ -128,7 +138,7 @@ CONSTANTS = np.dtype(
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
-def excite(turn, waves, amplitudes, excs, e_row):
+def excite(turn: float, waves: Floats, amplitudes: Floats, excs: Floats, e_row: int) -> None:
     """Sum of all periodic excitations at ``turn``, the fraction of the hunting cycle, into row ``e_row``.
 
     ``waves`` (3, n): orders per cycle, then room for cosine and sine; ``amplitudes`` (2, n, EXCITATIONS).
@@ -187,7 +197,7 @@ def excite(turn, waves, amplitudes, excs, e_row):
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
-def arctangent(x):
+def arctangent(x: float) -> float:
     """atan x to rounding: Taylor's series where the film mostly is, without a call that spills registers."""
     if abs(x) > ARCTANGENT_SERIES_REACH:
         return math.atan(x)
@@ -199,11 +209,13 @@ def arctangent(x):
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
-def film_force(coefficient, w, ex, ey, ux, uy):
+def film_force(
+    coefficient: float, w: float, ex: float, ey: float, ux: float, uy: float
+) -> tuple[float, float]:
     """Capone's short-bearing film (9)-(15): force on the shaft (x, y) in N.
 
-    ``coefficient`` mu (D/2) L^3 / (4 C^2) in N s, ``w`` signed shaft speed in rad/s; ``ex``, ``ey`` eccentricity
-    (dimensionless, below 1) and ``ux``, ``uy`` velocity, both divided by the radial clearance C.
+    ``coefficient`` mu (D/2) L^3 / (4 C^2) in N s, ``w`` signed shaft speed in rad/s; ``ex``, ``ey``
+    eccentricity (dimensionless, below 1) and ``ux``, ``uy`` velocity, both divided by the radial clearance C.
     """
     a = w * ex - 2.0 * uy
     b = w * ey + 2.0 * ux
@@ -227,11 +239,21 @@ def film_force(coefficient, w, ex, ey, ux, uy):
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
-def bearing(constants, gear, w, x, y, vx, vy, latched, flags):
+def bearing(
+    constants: np.record,
+    gear: int,
+    w: float,
+    x: float,
+    y: float,
+    vx: float,
+    vy: float,
+    latched: float,
+    flags: Flags,
+) -> Bearing:
     """Contact (2)-(6) and film (9)-(15) of one bearing, flags frozen.
 
-    Returns (contact force x, y; film force x, y in N; penetration m, its rate m/s; events' values: gap, its rate,
-    clamp, film margin, its rate).
+    Returns (contact force x, y; film force x, y in N; penetration m, its rate m/s; events' values: gap, its
+    rate, clamp, film margin, its rate).
     """
     d = math.sqrt(x * x + y * y)
     nx, ny, inverse_d = 1.0, 0.0, 0.0
@@ -288,14 +310,24 @@ def bearing(constants, gear, w, x, y, vx, vy, latched, flags):
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
-def dynamics(constants, speed, load, states, s, flags, excs, e_row, lag):
+def dynamics(
+    constants: np.record,
+    speed: float,
+    load: float,
+    states: Floats,
+    s: int,
+    flags: Flags,
+    excs: Floats,
+    e_row: int,
+    lag: float,
+) -> tuple[Rates, float, Mesh, Mesh, Bearing, Bearing]:
     """Right-hand side at row ``s`` of ``states`` with ``flags`` frozen, and the events' values.
 
-    ``speed`` set-point in rad/s and ``load`` commanded load torque in N m; row ``e_row`` of ``excs`` holds the
-    excitations at a phase that the state is ahead of by ``lag`` rad of mesh phase. (21)-(32).
+    ``speed`` set-point in rad/s and ``load`` commanded load torque in N m; row ``e_row`` of ``excs`` holds
+    the excitations at a phase that the state is ahead of by ``lag`` rad of mesh phase. (21)-(32).
 
-    Returns (accelerations; mesh force; mesh events: upper gap and rate, lower gap and rate, clamp; (q, its rate,
-    tan alpha, b1, load torque); bearing 1; bearing 2). Inlined, so that a caller pays for what it uses.
+    Returns (accelerations; mesh force; mesh events: upper gap and rate, lower gap and rate, clamp; (q, its
+    rate, tan alpha, b1, load torque); bearing 1; bearing 2). Inlined, so that a caller pays for what it uses.
     """
     x1, y1, x2, y2 = states[s, X1], states[s, Y1], states[s, X2], states[s, Y2]
     vx1, vy1, vx2, vy2 = states[s, VX1], states[s, VY1], states[s, VX2], states[s, VY2]
@@ -309,7 +341,11 @@ def dynamics(constants, speed, load, states, s, flags, excs, e_row, lag):
     z = excs[e_row, SURFACE] + lag * (excs[e_row, SURFACE_SLOPE] + half * excs[e_row, SURFACE_CURVATURE])
     z_rate = phi_rate * (excs[e_row, SURFACE_SLOPE] + lag * excs[e_row, SURFACE_CURVATURE])
     k1 = constants.stiffness * (1.0 + excs[e_row, STIFFNESS] + lag * excs[e_row, STIFFNESS_SLOPE])
-    e = constants.error_mean + excs[e_row, ERROR] + lag * (excs[e_row, ERROR_SLOPE] + half * excs[e_row, ERROR_CURVATURE])
+    e = (
+        constants.error_mean
+        + excs[e_row, ERROR]
+        + lag * (excs[e_row, ERROR_SLOPE] + half * excs[e_row, ERROR_CURVATURE])
+    )
     e_rate = phi_rate * (excs[e_row, ERROR_SLOPE] + lag * excs[e_row, ERROR_CURVATURE])
 
     ux, uy = x2 - x1, y2 - y1
@@ -411,7 +447,19 @@ def dynamics(constants, speed, load, states, s, flags, excs, e_row, lag):
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def evaluate(constants, speed, load, states, s, flags, excs, e_row, lag, points, p):
+def evaluate(
+    constants: np.record,
+    speed: float,
+    load: float,
+    states: Floats,
+    s: int,
+    flags: Flags,
+    excs: Floats,
+    e_row: int,
+    lag: float,
+    points: Floats,
+    p: int,
+) -> None:
     """``dynamics`` at row ``s`` of ``states``, all of it kept in row ``p`` of ``points``."""
     acceleration, force, mesh, shown, bearing1, bearing2 = dynamics(
         constants, speed, load, states, s, flags, excs, e_row, lag
@@ -429,7 +477,7 @@ def evaluate(constants, speed, load, states, s, flags, excs, e_row, lag, points,
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
-def keep_bearing(points, p, gear, values):
+def keep_bearing(points: Floats, p: int, gear: int, values: Bearing) -> None:
     """Store what ``bearing`` returned."""
     points[p, CONTACT_X + gear], points[p, CONTACT_Y + gear] = values[0], values[1]
     points[p, FILM_X + gear], points[p, FILM_Y + gear] = values[2], values[3]
@@ -440,115 +488,132 @@ def keep_bearing(points, p, gear, values):
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def phase_turn(constants, turns, turn):
+def phase_turn(constants: np.record, turns: int, turn: float) -> float:
     """Fraction of the hunting cycle at ``turns`` whole and ``turn`` further turns of gear 1."""
-    return (turns + turn) / constants.hunting
+    fraction: float = (turns + turn) / constants.hunting
+    return fraction
+
+
+@njit(cache=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
+def rates(constants: np.record, states: Floats, row: int) -> Rates:
+    """Rates of (x1, y1, x2, y2, u, theta1) at ``row``."""
+    return (
+        states[row, VX1],
+        states[row, VY1],
+        states[row, VX2],
+        states[row, VY2],
+        constants.base_radius1 * states[row, OMEGA1] - constants.base_radius2 * states[row, OMEGA2],
+        states[row, OMEGA1],
+    )
+
+
+@njit(cache=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
+def set_stage(states: Floats, h: float, rate: Rates, acceleration: Rates) -> None:
+    """END becomes HERE after ``h`` s of constant ``rate`` and ``acceleration``."""
+    states[END, X1] = states[HERE, X1] + h * rate[0]
+    states[END, Y1] = states[HERE, Y1] + h * rate[1]
+    states[END, X2] = states[HERE, X2] + h * rate[2]
+    states[END, Y2] = states[HERE, Y2] + h * rate[3]
+    states[END, U] = states[HERE, U] + h * rate[4]
+    states[END, THETA1] = states[HERE, THETA1] + h * rate[5]
+    states[END, VX1] = states[HERE, VX1] + h * acceleration[AX1]
+    states[END, VY1] = states[HERE, VY1] + h * acceleration[AY1]
+    states[END, VX2] = states[HERE, VX2] + h * acceleration[AX2]
+    states[END, VY2] = states[HERE, VY2] + h * acceleration[AY2]
+    states[END, OMEGA1] = states[HERE, OMEGA1] + h * acceleration[ALPHA1]
+    states[END, OMEGA2] = states[HERE, OMEGA2] + h * acceleration[ALPHA2]
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def try_step(constants, speed, load, waves, amplitudes, states, flags, phase, points, excs, h):
+def try_step(
+    constants: np.record,
+    speed: float,
+    load: float,
+    waves: Floats,
+    amplitudes: Floats,
+    states: Floats,
+    flags: Flags,
+    phase: float,
+    points: Floats,
+    excs: Floats,
+    h: float,
+) -> float:
     """Classic RK4 over ``h`` from HERE to END with frozen flags, in Nystrom's form.
 
-    ``phase`` is the nominal turn at HERE. Fills row END of states, points and excitations and returns the lag of
-    the end state behind those excitations, in rad of mesh phase. They are summed at two phases a step; the other
-    stages lie within the square of the step of these and take them by Taylor's series.
+    ``phase`` is the nominal turn at HERE. Fills row END of states, points and excitations and returns the lag
+    of the end state behind those excitations, in rad of mesh phase. They are summed at two phases a step; the
+    other stages lie within the square of the step of these and take them by Taylor's series.
     """
     turns = flags[TURN]
     half = 0.5 * h
-    rb1, rb2 = constants.base_radius1, constants.base_radius2
     nominal = constants.nominal_phase
-
-    # Stage 2
+    start = (
+        points[HERE, AX1],
+        points[HERE, AY1],
+        points[HERE, AX2],
+        points[HERE, AY2],
+        points[HERE, ALPHA1],
+        points[HERE, ALPHA2],
+    )
     # Latched impact speeds change at HERE only, between trials.
     states[END, IMPACT_SPEED] = states[HERE, IMPACT_SPEED]
     states[END, IMPACT_SPEED + 1] = states[HERE, IMPACT_SPEED + 1]
-    u_rate1 = rb1 * states[HERE, OMEGA1] - rb2 * states[HERE, OMEGA2]
-    states[END, X1] = states[HERE, X1] + half * states[HERE, VX1]
-    states[END, VX1] = states[HERE, VX1] + half * points[HERE, AX1]
-    states[END, Y1] = states[HERE, Y1] + half * states[HERE, VY1]
-    states[END, VY1] = states[HERE, VY1] + half * points[HERE, AY1]
-    states[END, X2] = states[HERE, X2] + half * states[HERE, VX2]
-    states[END, VX2] = states[HERE, VX2] + half * points[HERE, AX2]
-    states[END, Y2] = states[HERE, Y2] + half * states[HERE, VY2]
-    states[END, VY2] = states[HERE, VY2] + half * points[HERE, AY2]
-    states[END, U] = states[HERE, U] + half * u_rate1
-    states[END, THETA1] = states[HERE, THETA1] + half * states[HERE, OMEGA1]
-    states[END, OMEGA1] = states[HERE, OMEGA1] + half * points[HERE, ALPHA1]
-    states[END, OMEGA2] = states[HERE, OMEGA2] + half * points[HERE, ALPHA2]
-    theta_mid = states[END, THETA1]
-    turn_mid = phase + half * speed * TURNS_PER_RADIAN if nominal else theta_mid * TURNS_PER_RADIAN
-    excite(phase_turn(constants, turns, turn_mid), waves, amplitudes, excs, MIDDLE)
+
+    rate = rates(constants, states, HERE)
+    set_stage(states, half, rate, start)
+    turn = phase + half * speed * TURNS_PER_RADIAN if nominal else states[END, THETA1] * TURNS_PER_RADIAN
+    excite(phase_turn(constants, turns, turn), waves, amplitudes, excs, MIDDLE)
     middle, force_middle, _, _, _, _ = dynamics(constants, speed, load, states, END, flags, excs, MIDDLE, 0.0)
 
-    # Stage 3
-    u_rate2 = rb1 * states[END, OMEGA1] - rb2 * states[END, OMEGA2]
-    omega1_2 = states[END, OMEGA1]
-    states[END, X1] = states[HERE, X1] + half * states[END, VX1]
-    states[END, VX1] = states[HERE, VX1] + half * middle[AX1]
-    states[END, Y1] = states[HERE, Y1] + half * states[END, VY1]
-    states[END, VY1] = states[HERE, VY1] + half * middle[AY1]
-    states[END, X2] = states[HERE, X2] + half * states[END, VX2]
-    states[END, VX2] = states[HERE, VX2] + half * middle[AX2]
-    states[END, Y2] = states[HERE, Y2] + half * states[END, VY2]
-    states[END, VY2] = states[HERE, VY2] + half * middle[AY2]
-    states[END, U] = states[HERE, U] + half * u_rate2
-    states[END, THETA1] = states[HERE, THETA1] + half * omega1_2
-    states[END, OMEGA1] = states[HERE, OMEGA1] + half * middle[ALPHA1]
-    states[END, OMEGA2] = states[HERE, OMEGA2] + half * middle[ALPHA2]
-    lag = 0.0 if nominal else constants.teeth1 * half * (omega1_2 - states[HERE, OMEGA1])
+    rate2 = rates(constants, states, END)
+    set_stage(states, half, rate2, middle)
+    lag = 0.0 if nominal else constants.teeth1 * half * (rate2[5] - rate[5])
     late, force_late, _, _, _, _ = dynamics(constants, speed, load, states, END, flags, excs, MIDDLE, lag)
 
-    # Stage 4
-    u_rate3 = rb1 * states[END, OMEGA1] - rb2 * states[END, OMEGA2]
-    omega1_3 = states[END, OMEGA1]
-    sixth = h * h / 6.0
-    states[END, X1] = states[HERE, X1] + h * states[END, VX1]
-    states[END, VX1] = states[HERE, VX1] + h * late[AX1]
-    states[END, Y1] = states[HERE, Y1] + h * states[END, VY1]
-    states[END, VY1] = states[HERE, VY1] + h * late[AY1]
-    states[END, X2] = states[HERE, X2] + h * states[END, VX2]
-    states[END, VX2] = states[HERE, VX2] + h * late[AX2]
-    states[END, Y2] = states[HERE, Y2] + h * states[END, VY2]
-    states[END, VY2] = states[HERE, VY2] + h * late[AY2]
-    states[END, U] = states[HERE, U] + h * u_rate3
-    states[END, THETA1] = states[HERE, THETA1] + h * omega1_3
-    states[END, OMEGA1] = states[HERE, OMEGA1] + h * late[ALPHA1]
-    states[END, OMEGA2] = states[HERE, OMEGA2] + h * late[ALPHA2]
-    theta_end = states[END, THETA1]
-    turn_end = phase + h * speed * TURNS_PER_RADIAN if nominal else theta_end * TURNS_PER_RADIAN
-    excite(phase_turn(constants, turns, turn_end), waves, amplitudes, excs, END)
+    set_stage(states, h, rates(constants, states, END), late)
+    theta1 = states[END, THETA1]
+    turn = phase + h * speed * TURNS_PER_RADIAN if nominal else theta1 * TURNS_PER_RADIAN
+    excite(phase_turn(constants, turns, turn), waves, amplitudes, excs, END)
     last, force_last, _, _, _, _ = dynamics(constants, speed, load, states, END, flags, excs, END, 0.0)
 
-    weight = h / 6.0
-    pair = middle[AX1] + late[AX1]
-    states[END, X1] = states[HERE, X1] + h * states[HERE, VX1] + sixth * (points[HERE, AX1] + pair)
-    states[END, VX1] = states[HERE, VX1] + weight * (points[HERE, AX1] + 2.0 * pair + last[AX1])
-    pair = middle[AY1] + late[AY1]
-    states[END, Y1] = states[HERE, Y1] + h * states[HERE, VY1] + sixth * (points[HERE, AY1] + pair)
-    states[END, VY1] = states[HERE, VY1] + weight * (points[HERE, AY1] + 2.0 * pair + last[AY1])
-    pair = middle[AX2] + late[AX2]
-    states[END, X2] = states[HERE, X2] + h * states[HERE, VX2] + sixth * (points[HERE, AX2] + pair)
-    states[END, VX2] = states[HERE, VX2] + weight * (points[HERE, AX2] + 2.0 * pair + last[AX2])
-    pair = middle[AY2] + late[AY2]
-    states[END, Y2] = states[HERE, Y2] + h * states[HERE, VY2] + sixth * (points[HERE, AY2] + pair)
-    states[END, VY2] = states[HERE, VY2] + weight * (points[HERE, AY2] + 2.0 * pair + last[AY2])
-    pair1 = middle[ALPHA1] + late[ALPHA1]
-    pair2 = middle[ALPHA2] + late[ALPHA2]
-    u_sum = rb1 * (points[HERE, ALPHA1] + pair1) - rb2 * (points[HERE, ALPHA2] + pair2)
-    states[END, U] = states[HERE, U] + h * u_rate1 + sixth * u_sum
-    states[END, THETA1] = states[HERE, THETA1] + h * states[HERE, OMEGA1] + sixth * (points[HERE, ALPHA1] + pair1)
-    states[END, OMEGA1] = states[HERE, OMEGA1] + weight * (points[HERE, ALPHA1] + 2.0 * pair1 + last[ALPHA1])
-    states[END, OMEGA2] = states[HERE, OMEGA2] + weight * (points[HERE, ALPHA2] + 2.0 * pair2 + last[ALPHA2])
-    states[END, MESH_IMPULSE] = states[HERE, MESH_IMPULSE] + weight * (
-        points[HERE, MESH_FORCE] + 2.0 * (force_middle + force_late) + force_last
+    third, sixth = h / 3.0, h / 6.0
+    ax1, ay1, ax2, ay2, alpha1, alpha2 = (
+        middle[AX1] + late[AX1],
+        middle[AY1] + late[AY1],
+        middle[AX2] + late[AX2],
+        middle[AY2] + late[AY2],
+        middle[ALPHA1] + late[ALPHA1],
+        middle[ALPHA2] + late[ALPHA2],
     )
-    lag_end = 0.0 if nominal else constants.teeth1 * (states[END, THETA1] - theta_end)
-    evaluate(constants, speed, load, states, END, flags, excs, END, lag_end, points, END)
-    return lag_end
+    # Positions need k1 + k2 + k3 of the accelerations, speeds k1 + 2 k2 + 2 k3 + k4.
+    drift = (
+        start[AX1] + ax1,
+        start[AY1] + ay1,
+        start[AX2] + ax2,
+        start[AY2] + ay2,
+        constants.base_radius1 * (start[ALPHA1] + alpha1) - constants.base_radius2 * (start[ALPHA2] + alpha2),
+        start[ALPHA1] + alpha1,
+    )
+    for i in range(6):
+        states[END, i] = states[HERE, i] + h * (rate[i] + sixth * drift[i])
+    states[END, VX1] = states[HERE, VX1] + sixth * (start[AX1] + last[AX1]) + third * ax1
+    states[END, VY1] = states[HERE, VY1] + sixth * (start[AY1] + last[AY1]) + third * ay1
+    states[END, VX2] = states[HERE, VX2] + sixth * (start[AX2] + last[AX2]) + third * ax2
+    states[END, VY2] = states[HERE, VY2] + sixth * (start[AY2] + last[AY2]) + third * ay2
+    states[END, OMEGA1] = states[HERE, OMEGA1] + sixth * (start[ALPHA1] + last[ALPHA1]) + third * alpha1
+    states[END, OMEGA2] = states[HERE, OMEGA2] + sixth * (start[ALPHA2] + last[ALPHA2]) + third * alpha2
+    states[END, MESH_IMPULSE] = (
+        states[HERE, MESH_IMPULSE]
+        + sixth * (points[HERE, MESH_FORCE] + force_last)
+        + third * (force_middle + force_late)
+    )
+    lag = 0.0 if nominal else constants.teeth1 * (states[END, THETA1] - theta1)
+    evaluate(constants, speed, load, states, END, flags, excs, END, lag, points, END)
+    return lag
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def hermite_root(v0, r0, v1, r1):
+def hermite_root(v0: float, r0: float, v1: float, r1: float) -> float:
     """Root in (0, 1) of the cubic with values v0 > 0 > v1 and slopes r0, r1 per unit of the bracket."""
     low, high = 0.0, 1.0
     s = v0 / (v0 - v1)
@@ -571,19 +636,19 @@ def hermite_root(v0, r0, v1, r1):
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def has_rate(event):
+def has_rate(event: int) -> bool:
     """Whether the rate of ``event`` is known: clamps have none, it would need accelerations."""
     return event != MESH_CLAMP and event != BEARING_CLAMP and event != BEARING_CLAMP + 1
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def event_tolerance(event):
+def event_tolerance(event: int) -> float:
     """How close to zero ``event`` is located, relative to the change of its value."""
     return GAP_TOLERANCE if has_rate(event) else CLAMP_TOLERANCE
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def first_violated(points, h):
+def first_violated(points: Floats, h: float) -> int:
     """The event that seems to come first of those whose value is negative at END, or -1."""
     first, earliest = -1, 2.0
     for event in range(EVENT_COUNT):
@@ -602,7 +667,7 @@ def first_violated(points, h):
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def grazing_fraction(points, h):
+def grazing_fraction(points: Floats, h: float) -> float:
     """Fraction of the step at which a gap seems to close and open again, or 0.
 
     Looks at gaps that are open at both ends but close at the start and open at the end.
@@ -627,9 +692,9 @@ def grazing_fraction(points, h):
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def flip(constants, event, states, flags, points):
-    """Change the flag that ``event`` stands for at HERE; a bearing contact that begins latches its impact speed."""
-    if event == UPPER_GAP or event == LOWER_GAP:
+def flip(constants: np.record, event: int, states: Floats, flags: Flags, points: Floats) -> None:
+    """Change the flag that ``event`` stands for; a bearing contact that begins latches its impact speed."""
+    if event <= LOWER_GAP:
         side = 1 if event == UPPER_GAP else -1
         flags[FLANK] = side if flags[FLANK] == 0 else 0
         flags[MESH_CLAMPED] = 0
@@ -641,7 +706,9 @@ def flip(constants, event, states, flags, points):
         flags[CLAMPED + gear] = 0
         flags[CONTACT + gear] = 1 - flags[CONTACT + gear]
         if flags[CONTACT + gear] == 1:
-            states[HERE, IMPACT_SPEED + gear] = max(points[HERE, CLOSING + gear], constants.minimum_impact_speed)
+            states[HERE, IMPACT_SPEED + gear] = max(
+                points[HERE, CLOSING + gear], constants.minimum_impact_speed
+            )
             flags[IMPACTS] += 1
     elif event < FILM_LIMIT:
         flags[CLAMPED + event - BEARING_CLAMP] = 1 - flags[CLAMPED + event - BEARING_CLAMP]
@@ -651,7 +718,17 @@ def flip(constants, event, states, flags, points):
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def settle(constants, speed, load, event, states, flags, excs, lag, points):
+def settle(
+    constants: np.record,
+    speed: float,
+    load: float,
+    event: int,
+    states: Floats,
+    flags: Flags,
+    excs: Floats,
+    lag: float,
+    points: Floats,
+) -> None:
     """Flip ``event`` at HERE and, as events fall together, every other one that is past its surface."""
     flip(constants, event, states, flags, points)
     flipped = 1 << event
@@ -669,12 +746,25 @@ def settle(constants, speed, load, event, states, flags, excs, lag, points):
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def locate(constants, speed, load, waves, amplitudes, states, flags, phase, points, excs, h, event):
+def locate(
+    constants: np.record,
+    speed: float,
+    load: float,
+    waves: Floats,
+    amplitudes: Floats,
+    states: Floats,
+    flags: Flags,
+    phase: float,
+    points: Floats,
+    excs: Floats,
+    h: float,
+    event: int,
+) -> tuple[float, int, float, int]:
     """Shorten the step ``h`` until it ends on the first event; returns (h, event, lag at END, capped).
 
-    ``event`` is positive at HERE and negative at END on entry. Steps are tried at the root of the cubic through
-    both ends of the bracket (of the secant, weighted after Illinois, where no rate is known). A second event
-    that turns out to come earlier takes over.
+    ``event`` is positive at HERE and negative at END on entry. Steps are tried at the root of the cubic
+    through both ends of the bracket (of the secant, weighted after Illinois, where no rate is known). A
+    second event that turns out to come earlier takes over.
     """
     low, high = 0.0, h
     points[LOW, :] = points[HERE, :]
@@ -691,9 +781,7 @@ def locate(constants, speed, load, waves, amplitudes, states, flags, phase, poin
         at = low + fraction * width
         if not (low < at < high):
             at = 0.5 * (low + high)
-        lag_end = try_step(
-            constants, speed, load, waves, amplitudes, states, flags, phase, points, excs, at
-        )
+        lag_end = try_step(constants, speed, load, waves, amplitudes, states, flags, phase, points, excs, at)
         earlier = -1
         for other in range(EVENT_COUNT):
             v0, v1 = points[LOW, VALUE + other], points[END, VALUE + other]
@@ -722,7 +810,18 @@ def locate(constants, speed, load, waves, amplitudes, states, flags, phase, poin
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def split_step(constants, speed, load, waves, amplitudes, states, flags, points, excs, lag_end):
+def split_step(
+    constants: np.record,
+    speed: float,
+    load: float,
+    waves: Floats,
+    amplitudes: Floats,
+    states: Floats,
+    flags: Flags,
+    points: Floats,
+    excs: Floats,
+    lag_end: float,
+) -> None:
     """Go on from a first trial of the whole step, at END, that met an event: split the step at every event.
 
     Searches that met their limit are counted in CAPPED.
@@ -779,7 +878,7 @@ def split_step(constants, speed, load, waves, amplitudes, states, flags, points,
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def accept(states, points, excs):
+def accept(states: Floats, points: Floats, excs: Floats) -> None:
     """The end of the trial becomes the state."""
     for i in range(MECHANICAL + 1):
         states[HERE, i] = states[END, i]
@@ -790,7 +889,7 @@ def accept(states, points, excs):
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def is_eventful(points, h):
+def is_eventful(points: Floats, h: float) -> bool:
     """Whether a surface was crossed over the trial step, or a gap may have closed and opened again."""
     crossed = False
     for event in range(EVENT_COUNT):
@@ -801,7 +900,7 @@ def is_eventful(points, h):
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def wrap(constants, states, flags):
+def wrap(constants: np.record, states: Floats, flags: Flags) -> None:
     """Bring theta1 back to one revolution and count it; the phase counts modulo the hunting cycle."""
     revolutions = 0
     if states[HERE, THETA1] >= TWO_PI:
@@ -817,7 +916,7 @@ def wrap(constants, states, flags):
 
 
 @njit(cache=True, error_model="numpy")
-def advance_nominal(constants, speed, states, flags):
+def advance_nominal(constants: np.record, speed: float, states: Floats, flags: Flags) -> None:
     """One step of the nominal phase, without the drift of a plain sum (Kahan); must not be contracted."""
     increment = speed * constants.step * TURNS_PER_RADIAN - states[HERE, NOMINAL_REST]
     before = states[HERE, NOMINAL_TURN]
@@ -833,7 +932,7 @@ def advance_nominal(constants, speed, states, flags):
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def govern(constants, speed, states, interval):
+def govern(constants: np.record, speed: float, states: Floats, interval: float) -> None:
     """PI governor, once a sample: T_M = clip(Kp err + I); I stands still while clipped."""
     error = speed - states[HERE, OMEGA1]
     wanted = constants.governor_proportional * error + states[HERE, GOVERNOR]
@@ -844,7 +943,16 @@ def govern(constants, speed, states, interval):
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def write_sample(constants, time, turn, states, flags, points, row, angles):
+def write_sample(
+    constants: np.record,
+    time: float,
+    turn: float,
+    states: Floats,
+    flags: Flags,
+    points: Floats,
+    row: Floats,
+    angles: Floats,
+) -> None:
     """One row of CHANNELS and the accumulated angles of both shafts."""
     row[0] = time
     row[1] = points[HERE, Q]
@@ -876,16 +984,28 @@ def write_sample(constants, time, turn, states, flags, points, row, angles):
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def open_point(constants, speed, load, waves, amplitudes, states, flags, points, excs):
+def open_point(
+    constants: np.record,
+    speed: float,
+    load: float,
+    waves: Floats,
+    amplitudes: Floats,
+    states: Floats,
+    flags: Flags,
+    points: Floats,
+    excs: Floats,
+) -> float:
     """Evaluate the state HERE afresh; returns the turn of gear 1 that sets the phase."""
-    turn = states[HERE, NOMINAL_TURN] if constants.nominal_phase else states[HERE, THETA1] * TURNS_PER_RADIAN
+    turn: float = states[HERE, THETA1] * TURNS_PER_RADIAN
+    if constants.nominal_phase:
+        turn = states[HERE, NOMINAL_TURN]
     excite(phase_turn(constants, flags[TURN], turn), waves, amplitudes, excs, HERE)
     evaluate(constants, speed, load, states, HERE, flags, excs, HERE, 0.0, points, HERE)
     return turn
 
 
 @njit(cache=True, error_model="numpy")
-def make_work(y, orders):
+def make_work(y: Floats, orders: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Scratch of the integrator around the state ``y``: (states, points, excs, waves)."""
     states = np.zeros((2, STATE_SIZE))
     states[HERE, :] = y
@@ -896,7 +1016,14 @@ def make_work(y, orders):
 
 
 @njit(cache=True, error_model="numpy")
-def touch(constants, commands, orders, amplitudes, y, flags):
+def touch(
+    constants: np.record,
+    commands: tuple[float, float],
+    orders: Floats,
+    amplitudes: Floats,
+    y: Floats,
+    flags: Flags,
+) -> None:
     """Set u so that the drive flank just touches (q = b1), in contact if the gap is closing."""
     speed, load = commands
     flags[FLANK] = 0
@@ -909,7 +1036,14 @@ def touch(constants, commands, orders, amplitudes, y, flags):
 
 
 @njit(cache=True, error_model="numpy")
-def accelerations(constants, commands, orders, amplitudes, y, flags):
+def accelerations(
+    constants: np.record,
+    commands: tuple[float, float],
+    orders: Floats,
+    amplitudes: Floats,
+    y: Floats,
+    flags: Flags,
+) -> Floats:
     """Accelerations (x1, y1, x2, y2 in m/s^2; omega1, omega2 in rad/s^2) at ``y`` with ``flags`` frozen."""
     speed, load = commands
     states, points, excs, waves = make_work(y, orders)
@@ -918,12 +1052,23 @@ def accelerations(constants, commands, orders, amplitudes, y, flags):
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
-def run(constants, commands, orders, amplitudes, y, flags, first_sample, interval_ns, samples, angles):
+def run(
+    constants: np.record,
+    commands: tuple[float, float],
+    orders: Floats,
+    amplitudes: Floats,
+    y: Floats,
+    flags: Flags,
+    first_sample: int,
+    interval_ns: int,
+    samples: Floats,
+    angles: Floats,
+) -> tuple[int, int]:
     """Integrate and sample: row k of ``samples`` (n, 28) and ``angles`` (n, 2) is the state before its steps.
 
-    ``commands`` (speed, load torque). Changes ``y`` and ``flags`` in place; returns (rows written, status). On
-    OVER_SPEED and CENTRES_PRESSED the last row is the state that broke the limit; a NON_FINITE state is not
-    written.
+    ``commands`` (speed, load torque). Changes ``y`` and ``flags`` in place; returns (rows written, status).
+    On OVER_SPEED and CENTRES_PRESSED the last row is the state that broke the limit; a NON_FINITE state is
+    not written.
     """
     speed, load = commands
     n = samples.shape[0]
@@ -956,9 +1101,7 @@ def run(constants, commands, orders, amplitudes, y, flags, first_sample, interva
                 constants, speed, load, waves, amplitudes, states, flags, phase, points, excs, step
             )
             if is_eventful(points, step):
-                split_step(
-                    constants, speed, load, waves, amplitudes, states, flags, points, excs, lag_end
-                )
+                split_step(constants, speed, load, waves, amplitudes, states, flags, points, excs, lag_end)
             else:
                 accept(states, points, excs)
             wrap(constants, states, flags)

@@ -16,7 +16,7 @@ ROOT_ITERATIONS = 40
 
 
 class Surface(NamedTuple):
-    """Profile z(a) = sum_j cosine_j cos(orders_j a) + sine_j sin(orders_j a), a the gear's own angle in rad."""
+    """Profile sum_j cosine_j cos(orders_j a) + sine_j sin(orders_j a); a is the gear's own angle in rad."""
 
     orders: NDArray[np.int64]  # waves per revolution
     cosine: NDArray[np.float64]  # m
