@@ -1,0 +1,58 @@
+# make setup | demo | test | bench | lint | clean
+
+VENV := .venv
+BIN := $(VENV)/bin
+
+# The ROS wheels exist for CPython 3.10 to 3.13, this package needs 3.11.
+SUITABLE := import sys, venv; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
+PYTHON ?= $(shell for python in python3 python3.13 python3.12 python3.11; do \
+	$$python -c "$(SUITABLE)" 2>/dev/null && echo $$python && break; done)
+
+# A sourced ROS installation would mix its libraries with the ROS wheels of the venv.
+unexport PYTHONPATH LD_LIBRARY_PATH AMENT_PREFIX_PATH RMW_IMPLEMENTATION _ROS_WHEELS_BOOTSTRAP_COMPLETE
+
+INSTALLED := $(VENV)/.installed
+WARM := $(VENV)/.warm
+
+.PHONY: setup demo test bench lint clean
+
+setup: $(WARM)
+
+demo: setup
+	@$(BIN)/python scripts/demo.py --output demo
+
+test: setup
+	@echo "== Running the test suite"
+	@$(BIN)/pytest --numprocesses 2 --dist loadfile --durations 10
+
+bench: setup
+	@$(BIN)/python benchmarks/kernel.py
+
+lint: setup
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy gear_dynamics_ros
+
+clean:
+	rm -rf $(VENV) build install log demo *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(INSTALLED): setup.py setup.cfg pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { \
+		echo "make: no Python 3.11 to 3.13 found; install one, or name it: make PYTHON=/path/to/python3.12" >&2; exit 1; }
+	@test -x $(BIN)/python || { echo "== Creating $(VENV) with $$($(PYTHON) --version)"; $(PYTHON) -m venv $(VENV); } || { \
+		rm -rf $(VENV); \
+		echo "make: $(PYTHON) can't create a venv; on Debian and Ubuntu: apt-get install python3-venv" >&2; exit 1; }
+	@echo "== Installing gear_dynamics_ros and the pinned packages it needs (about 500 MB, a minute or two)"
+	@$(BIN)/python -m pip install --disable-pip-version-check --progress-bar off --constraint constraints.txt setuptools
+	@$(BIN)/python -m pip install --disable-pip-version-check --progress-bar off --constraint constraints.txt \
+		--no-build-isolation --editable '.[ros,viewer,test]'
+	@touch $@
+
+# The compiled kernel is cached beside its source; compiling it here keeps the first run short.
+$(WARM): $(INSTALLED) $(wildcard gear_dynamics_ros/physics/*.py)
+	@echo "== Compiling the kernel (up to a minute, once)"
+	@scratch=$$(mktemp -d) && trap 'rm -rf "$$scratch"' EXIT && \
+		$(BIN)/simulate --params-file config/gearbox.yaml --duration 0.01 --output "$$scratch/warm"
+	@touch $@
+	@echo "== Ready"
