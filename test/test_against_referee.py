@@ -1,0 +1,131 @@
+"""The engine against the referee: two programs that share nothing but the model integrate the same run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from measurements import PUBLISHED
+from numpy.typing import NDArray
+from referee import CHANNELS, Referee, nested
+
+from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.parameters import Parameters, load
+from gear_dynamics_ros.signals import CHANNEL_NAMES
+
+CASES = Path(__file__).parent / "cases"
+SAMPLES = 101  # the first millisecond
+NANOMETRE = 1e-9
+
+ROUGH: dict[str, Any] = {
+    "operation.control": "torque",
+    "operation.speed": 1000.0,
+    "mesh.stiffness_cos": [0.12],
+    "mesh.error_cos": [1.0e-5],
+    "bearings.driving.clearance": 3.6e-5,
+    "bearings.driven.clearance": 3.6e-5,
+}
+UNEQUAL: dict[str, Any] = {
+    "gears.driving.teeth": 23,
+    "gears.driven.teeth": 41,
+    "gears.driving.mass": 0.6,
+    "gears.driven.mass": 1.9,
+    "gears.driving.inertia": 4.0e-4,
+    "gears.driven.inertia": 4.1e-3,
+    "operation.drive_torque": 20.0,
+    "operation.load_torque": 20.0 * 41 / 23,
+    "mesh.stiffness_cos": [0.1, 0.03],
+    "mesh.stiffness_sin": [0.02, 0.0, 0.01],
+    "mesh.error_mean": 2.0e-6,
+    "mesh.error_cos": [6.0e-6, 0.0, 1.0e-6],
+    "mesh.error_sin": [2.0e-6, 1.5e-6],
+    "surface.driven.offset": 0.7,
+    "surface.driving.roughness": 1.6e-6,
+}
+LOPSIDED: dict[str, Any] = {
+    "bearings.driving.clearance": 1.5e-5,
+    "bearings.driving.restitution": 0.7,
+    "bearings.driving.length": 0.02,
+    "bearings.driven.oil_clearance": 1.0e-4,
+    "bearings.driven.kelvin_stiffness": 3.0e8,
+    "bearings.driven.kelvin_damping": 800.0,
+    "bearings.driven.restitution": 0.35,
+}
+BACK: dict[str, Any] = {"operation.drive_torque": -40.0, "operation.load_torque": -40.0}
+RUNS: dict[str, dict[str, Any]] = {
+    "traditional, published": {"model": "traditional", **PUBLISHED},
+    "compared, published": {"model": "compared", **PUBLISHED},
+    "improved, published": {"model": "improved", **PUBLISHED},
+    "traditional, refined": {"model": "traditional"},
+    "compared, refined": {"model": "compared"},
+    "improved, refined": {"model": "improved"},
+    "improved, unequal gears, harmonics": {"model": "improved", **UNEQUAL},
+    "compared, published, unequal gears and bearings": {
+        "model": "compared",
+        **PUBLISHED,
+        **UNEQUAL,
+        **LOPSIDED,
+    },
+    "traditional, unequal bearings": {"model": "traditional", **LOPSIDED},
+    "improved, back flank": {"model": "improved", "operation.speed": 628.0, **BACK},
+    "traditional, published, back flank": {"model": "traditional", **PUBLISHED, **BACK},
+    "improved, from rest, governed": {
+        "model": "improved",
+        "operation.initial": "rest",
+        "operation.control": "speed",
+        "operation.speed": 50.0,
+    },
+    "compared, backwards against a brake": {
+        "model": "compared",
+        "operation.speed": -300.0,
+        "operation.load_law": "brake",
+        "operation.load_viscous": 0.02,
+    },
+    "improved, reversal through zero": {
+        "model": "improved",
+        "operation.speed": 3.0,
+        "operation.drive_torque": -60.0,
+        "operation.load_torque": 30.0,
+    },
+}
+
+
+def disagreement(
+    samples: NDArray[np.float64], expected: NDArray[np.float64], channels: int
+) -> dict[str, float]:
+    """Largest difference of each channel, as a fraction of its range; angles on the circle."""
+    found = {}
+    for column, channel in enumerate(CHANNELS[:channels]):
+        difference = samples[:, column] - expected[:, column]
+        if channel in ("driving_angle", "mesh_phase"):
+            difference = (difference + np.pi) % (2.0 * np.pi) - np.pi
+        spread = max(
+            float(np.ptp(expected[:, column])), 1e-9 * float(np.abs(expected[:, column]).max()), 1e-30
+        )
+        found[channel] = float(np.abs(difference).max()) / spread
+    return found
+
+
+def test_same_channels() -> None:
+    assert CHANNELS == CHANNEL_NAMES
+
+
+@pytest.mark.parametrize(("name", "goal"), [("traditional_6000", 0.01), ("refined_9000", 0.1)])
+def test_recorded_runs(name: str, goal: float) -> None:
+    recorded = np.genfromtxt(CASES / f"{name}.csv", delimiter=",", skip_header=1)[:SAMPLES]
+    samples = Engine(load(CASES / f"{name}.yaml")).advance(SAMPLES).samples
+    assert np.abs(samples[:, 1] - recorded[:, 1]).max() < goal * NANOMETRE
+    off = disagreement(samples, recorded, 27)
+    assert max(off.values()) < 1e-5, off
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_engine_agrees_with_the_referee(name: str) -> None:
+    p = Parameters.from_flat({**ROUGH, **RUNS[name]})
+    expected = Referee(nested(p.to_flat())).run(SAMPLES)
+    samples = Engine(p).advance(SAMPLES).samples
+    assert np.abs(samples[:, 1] - expected[:, 1]).max() < 0.1 * NANOMETRE
+    off = disagreement(samples, expected, len(CHANNELS))
+    assert max(off.values()) < 1e-5, off
