@@ -33,7 +33,7 @@ class Engine:
         self.reset()
 
     def reset(self) -> None:
-        """Back to the start state of ``operation.initial`` and the commands of the parameters; time goes on."""
+        """Back to the start state and the commands of the parameters; time goes on."""
         operation = self.parameters.operation
         self.commands = Commands(operation.drive_torque, operation.load_torque, operation.speed)
         self.status = Status.RUNNING
@@ -56,7 +56,7 @@ class Engine:
             self._y[kernel.DRIVE_TORQUE] = commands.drive_torque
 
     def advance(self, samples: int | None = None) -> Chunk:
-        """The next ``samples`` samples (default: ``solver.chunk``); fewer if the run ends in them.
+        """The next ``samples`` samples (default: a chunk); fewer if the run ends in them.
 
         Raises GearboxError if the run has ended already.
         """
@@ -102,7 +102,7 @@ class Engine:
         }
 
     def restore(self, checkpoint: dict[str, Any]) -> None:
-        """Go on from ``checkpoint``. Raises GearboxError, changing nothing, if it is not one of this version."""
+        """Go on from ``checkpoint``. Raises GearboxError, changing nothing, if it can't be one."""
         try:
             form = checkpoint["format"]
             y = np.array(checkpoint["state"], dtype=np.float64)
