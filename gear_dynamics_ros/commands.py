@@ -1,4 +1,4 @@
-"""Commands on their way from whoever sends them to the next chunk edge: checked, counted, handed over once."""
+"""Commands on their way from whoever sends them to the next chunk edge: checked, counted, handed over."""
 
 from __future__ import annotations
 
@@ -74,6 +74,11 @@ class Mailbox:
             self._last_ns = now_ns
             if forget:
                 self._changes, self._received = {}, []
+
+    def age(self, now_ns: int) -> float:
+        """Wall time since the last good command in s."""
+        with self._lock:
+            return (now_ns - self._last_ns) * 1e-9
 
     def tally(self) -> Tally:
         """Counts of this moment."""

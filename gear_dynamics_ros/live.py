@@ -21,7 +21,7 @@ RELEASED = {"drive_torque": 0.0, "load_torque": 0.0}
 
 
 class Live:
-    """Paces a run. Only its thread touches the run; others ask it through ``call``, served at the next chunk edge."""
+    """Paces a run. Only its thread touches the run; others ask through ``call``, served at the next chunk edge."""
 
     def __init__(
         self,
@@ -30,7 +30,7 @@ class Live:
         after_chunk: Callable[[Chunk], Sequence[Record]],
         on_end: Callable[[], None],
     ) -> None:
-        """``after_chunk`` may add messages to a chunk's; ``on_end`` is told, on this thread, that the run ended."""
+        """``after_chunk`` may add messages to a chunk's; ``on_end`` is told, on Live's thread, of the run's end."""
         self.run = run
         self.mailbox = mailbox
         self._after_chunk = after_chunk
@@ -42,6 +42,7 @@ class Live:
         self._pacer = Pacer(run.engine.parameters.pacing.real_time_factor, time.monotonic_ns())
         self._requests: deque[Callable[[], None]] = deque()
         self._wake = threading.Condition()
+        self._figures = threading.Lock()
         self._stopping = False
         self._thread: threading.Thread | None = None
         self._paused = False
@@ -56,7 +57,13 @@ class Live:
 
     @property
     def paused(self) -> bool:
+        """Whether simulated time stands still on request."""
         return self._paused
+
+    @property
+    def time(self) -> float:
+        """Simulated time in s."""
+        return self.run.engine.sample * self._interval_ns * 1e-9
 
     @property
     def timed_out(self) -> bool:
@@ -133,12 +140,13 @@ class Live:
         self._pacer.restart(now)
 
     def set_factor(self, real_time_factor: float) -> None:
-        """Go on at another pace. For ``call``."""
-        self._pacer.restart(time.monotonic_ns(), real_time_factor)
+        """Go on at another pace from the next chunk edge on."""
+        self._request(lambda: self._pacer.restart(time.monotonic_ns(), real_time_factor))
 
     def pace(self) -> Pace:
-        """Figures since the last call. For ``call``."""
-        return self._pacer.report(time.monotonic_ns())
+        """Figures since the last call."""
+        with self._figures:
+            return self._pacer.report(time.monotonic_ns())
 
     def _request(self, action: Callable[[], None]) -> None:
         with self._wake:
@@ -178,7 +186,8 @@ class Live:
 
     def _step(self) -> None:
         now = time.monotonic_ns()
-        self._pacer.begun(self._chunk_ns, now)
+        with self._figures:
+            self._pacer.begun(self._chunk_ns, now)
         delivery = self.mailbox.take(now)
         changes = delivery.changes
         timeout = self._operation.command_timeout
@@ -189,6 +198,7 @@ class Live:
         chunk = self.run.step(commands, delivery.received)
         self.counters = chunk.counters
         self.run.emit(self._after_chunk(chunk))
-        self._pacer.done(len(chunk) * self._interval_ns, time.monotonic_ns())
+        with self._figures:
+            self._pacer.done(len(chunk) * self._interval_ns, time.monotonic_ns())
         if self.run.end:
             self._on_end()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from array import array
-from typing import Any
+from typing import Any, cast
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
@@ -20,13 +20,14 @@ LARGEST_INTEGER = 2**63 - 1
 
 
 def declare(node: Node) -> Parameters:
-    """Check what file and command line gave ``node``, and declare every parameter of the table with its value.
+    """Check what file and command line gave ``node``, and declare every parameter of the table.
 
     ``node`` must have declared its overrides by itself. Raises UsageError as ``Parameters.from_flat`` does.
     """
+    overrides = cast("dict[str, Parameter]", node.get_parameters_by_prefix(""))
     given = {
         name: _plain(parameter.value)
-        for name, parameter in node.get_parameters_by_prefix("").items()
+        for name, parameter in overrides.items()
         if name not in FOREIGN and not name.startswith(FOREIGN_PREFIX)
     }
     parameters = Parameters.from_flat(given)

@@ -33,6 +33,28 @@ class Sink(Protocol):
         """Finish; nothing is written afterwards."""
 
 
+class ChunkWriter(Protocol):
+    """What ``ViewerSink`` needs of a viewer."""
+
+    def write(self, chunk: Chunk) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class ViewerSink:
+    """Gives a viewer the chunks of a run."""
+
+    def __init__(self, viewer: ChunkWriter) -> None:
+        self._viewer = viewer
+
+    def write(self, chunk: Chunk | None, _: Sequence[Record]) -> None:
+        if chunk is not None:
+            self._viewer.write(chunk)
+
+    def close(self) -> None:
+        self._viewer.close()
+
+
 class Run:
     """One engine, its messages and the sinks they go to.
 

@@ -19,3 +19,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"gearbox: error: rclpy: not found; {remedy}", file=sys.stderr)
         return FAILURE
     return run(argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,86 @@
+"""The node's topics: publishers fed with ready bytes, subscriptions of commands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
+
+from gear_dynamics_ros.messages import TOPICS, Record, Topic, deserialize
+from gear_dynamics_ros.signals import Chunk
+
+FLOAT_COMMANDS = {
+    "drive_torque_command": "drive_torque",
+    "load_torque_command": "load_torque",
+    "speed_command": "speed",
+}
+JOINT_COMMAND = "joint_command"
+COMMANDS = (*FLOAT_COMMANDS, JOINT_COMMAND)
+Publishers = Mapping[str, Publisher]
+
+
+class PublisherSink:
+    """Publishes what a run writes; a message on a topic without publisher, as a command received, is left out."""
+
+    def __init__(self, publishers: Publishers) -> None:
+        self._publishers = publishers
+
+    def write(self, _: Chunk | None, records: Sequence[Record]) -> None:
+        for record in records:
+            publisher = self._publishers.get(record.topic)
+            if publisher is not None:
+                publisher.publish(record.data)
+
+    def close(self) -> None:
+        """Publishers belong to the node."""
+
+
+def create_publishers(node: Node, *, clock: bool) -> dict[str, Publisher]:
+    """A publisher for each output, by its key in TOPICS; quality of service may be overridden by parameters."""
+    return {
+        key: node.create_publisher(
+            message_type(topic.type),
+            topic.name,
+            quality(topic),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+        for key, topic in TOPICS.items()
+        if key not in COMMANDS and (clock or key != "clock")
+    }
+
+
+def create_subscriptions(node: Node, take: Callable[[str, Any, bytes], None]) -> list[Subscription]:
+    """A subscription for each command; ``take`` gets key, message and the message as it came, in CDR."""
+
+    def subscribe(key: str) -> Subscription:
+        topic = TOPICS[key]
+        return node.create_subscription(
+            message_type(topic.type),
+            topic.name,
+            lambda data: take(key, deserialize(topic.type, data), data),
+            quality(topic),
+            raw=True,
+        )
+
+    return [subscribe(key) for key in COMMANDS]
+
+
+def quality(topic: Topic) -> QoSProfile:
+    """Quality of service of a topic."""
+    return QoSProfile(  # type: ignore[no-untyped-call]
+        depth=topic.depth,
+        reliability=ReliabilityPolicy.RELIABLE if topic.reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def message_type(name: str) -> Any:
+    """Class of the message type ``name``, like std_msgs/msg/Float64."""
+    package, _, message = name.split("/")
+    return getattr(import_module(f"{package}.msg"), message)
