@@ -1,0 +1,1 @@
+"""Recordings into numbers and pictures: arrays in, arrays out; only ``figures`` needs matplotlib."""

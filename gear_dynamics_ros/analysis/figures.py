@@ -1,0 +1,407 @@
+"""Pictures of a recording; every function returns a matplotlib Figure that touches no global state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NamedTuple, cast
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+from numpy.typing import NDArray
+
+from gear_dynamics_ros import palette
+from gear_dynamics_ros.analysis.samples import GEARS, Samples, contact_channels, film_channels
+from gear_dynamics_ros.analysis.spectra import amplitude_spectrum
+from gear_dynamics_ros.analysis.statistics import Envelope, bearing_force_name
+from gear_dynamics_ros.analysis.summary import mesh_rate, section
+from gear_dynamics_ros.parameters import Parameters
+
+MICRO: Final = 1e6
+KILO: Final = 1e-3
+MESH_PERIODS: Final = 12
+FEWEST_SAMPLES: Final = 60
+UNKNOWN_PERIODS: Final = 500  # samples shown where the mesh frequency isn't known
+MARKED_SAMPLES: Final = 400  # up to which every sample gets a dot
+CLOSEST_VIEW: Final = 1.5  # um, half a side
+DRAWN_SAMPLES: Final = 20_000
+LOOP_SAMPLES: Final = 5_000
+DYNAMIC_RANGE: Final = 1e5  # of the spectrum's amplitude axis
+ORDERS: Final = 5.5  # mesh orders on the spectrum's frequency axis
+MOST_MARKS: Final = 40  # command changes marked one by one
+
+STYLE: Final[dict[str, Any]] = {
+    "font.size": 9.5,
+    "font.family": "DejaVu Sans",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#555555",
+    "axes.labelcolor": "#222222",
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.titlesize": 10.5,
+    "axes.titlelocation": "left",
+    "grid.color": "#E3E3E3",
+    "grid.linewidth": 0.7,
+    "xtick.color": "#444444",
+    "ytick.color": "#444444",
+    "lines.linewidth": 1.1,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "figure.dpi": 140,
+    "agg.path.chunksize": 20000,
+}
+COLOURS: Final = {"driving": palette.BLUE, "driven": palette.ORANGE}
+
+
+class Curve(NamedTuple):
+    """One quantity of the overview in one panel."""
+
+    name: str
+    label: str
+    colour: str
+
+
+class Panel(NamedTuple):
+    """One strip of the overview."""
+
+    axis_label: str
+    scale: float
+    curves: tuple[Curve, ...]
+
+
+OVERVIEW: Final = (
+    Panel(
+        "speed\n(rad/s)",
+        1.0,
+        (
+            Curve("driving_speed", "driving", palette.BLUE),
+            Curve("driven_speed", "driven", palette.ORANGE),
+        ),
+    ),
+    Panel(
+        "torque\n(N m)",
+        1.0,
+        (Curve("drive_torque", "drive", palette.BLUE), Curve("load_torque", "load", palette.ORANGE)),
+    ),
+    Panel("DTE\n(µm)", MICRO, (Curve("dte", "", palette.BLUE),)),
+    Panel("mesh force\n(kN)", KILO, (Curve("mesh_force", "", palette.BLUE),)),
+    Panel(
+        "bearing force\n(kN)",
+        KILO,
+        tuple(Curve(bearing_force_name(gear), gear, COLOURS[gear]) for gear in GEARS),
+    ),
+    Panel(
+        "penetration\n(µm)",
+        MICRO,
+        tuple(Curve(f"{gear}_penetration", gear, COLOURS[gear]) for gear in GEARS),
+    ),
+)
+
+
+def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
+    """``draw`` with the package's style in force, and only within it."""
+
+    def wrapper(*args: Any, **keywords: Any) -> Figure:
+        with mpl.rc_context(cast(Any, STYLE)):  # its stub wants a literal for every key
+            return draw(*args, **keywords)
+
+    return wrapper
+
+
+def has_overview(envelope: Envelope) -> bool:
+    """Whether any panel has something to show."""
+    return bool(_panels(envelope))
+
+
+@styled
+def overview(envelope: Envelope, changes: Sequence[float], window: tuple[float, float]) -> Figure:
+    """The whole run: lowest and highest of each quantity in every pixel's worth of time.
+
+    ``changes``: times of commands and events in s, marked; ``window``: the stretch the other figures show.
+    """
+    panels = _panels(envelope)
+    figure = Figure(figsize=(10.0, 1.0 + 1.45 * len(panels)), layout="constrained")
+    axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    time = envelope.time
+    for axis, panel in zip(axes, panels, strict=True):
+        for number, curve in enumerate(panel.curves):
+            low, high = (panel.scale * bound for bound in envelope.bounds(curve.name))
+            # Only the first is filled: two fills over each other would hide both.
+            fill = {"facecolor": (curve.colour, 0.0 if number else 0.35)}
+            axis.fill_between(
+                time, low, high, **fill, edgecolor=curve.colour, linewidth=0.7, label=curve.label
+            )
+        if len(changes) <= MOST_MARKS or axis is axes[0]:
+            _mark_changes(axis, changes)
+        axis.axvspan(*window, color=palette.GREEN, alpha=0.13, linewidth=0)
+        axis.set_ylabel(panel.axis_label)
+        axis.margins(x=0.01)
+        if len(panel.curves) > 1:
+            axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
+    axes[-1].set_xlabel("simulated time (s)")
+    axes[0].set_title(_overview_title(len(changes)))
+    figure.align_ylabels(axes)
+    return figure
+
+
+def _panels(envelope: Envelope) -> list[Panel]:
+    there = set(envelope.names)
+    kept = (panel._replace(curves=tuple(c for c in panel.curves if c.name in there)) for panel in OVERVIEW)
+    return [panel for panel in kept if panel.curves]
+
+
+def _mark_changes(axis: Axes, changes: Sequence[float]) -> None:
+    if len(changes) <= MOST_MARKS:
+        for time in changes:
+            axis.axvline(time, color=palette.GREY, linewidth=0.8, linestyle=(0, (3, 3)))
+    else:
+        axis.plot(
+            changes,
+            np.ones(len(changes)),
+            "|",
+            color=palette.GREY,
+            markersize=5,
+            transform=axis.get_xaxis_transform(),
+            clip_on=False,
+        )
+
+
+def _overview_title(changes: int) -> str:
+    marks = "grey: commands and events, " if changes else ""
+    return f"Whole run ({marks}green: window of the other figures)"
+
+
+@styled
+def time_series(samples: Samples, parameters: Parameters) -> Figure:
+    """The last mesh periods of a window, every sample: DTE between the flanks, mesh force, bearing forces."""
+    shown = samples.last(_period_samples(samples))
+    milliseconds = 1e3 * (shown.time - shown.time[0])
+    dots = {"marker": "." if len(shown) <= MARKED_SAMPLES else "", "markersize": 3.0}
+    figure = Figure(figsize=(10.0, 7.6), layout="constrained")
+    motion, force, *bearings = figure.subplots(4, 1, sharex=True)
+    if shown.has("dte"):
+        motion.plot(milliseconds, MICRO * shown["dte"], color=palette.BLUE, label="DTE", **dots)
+    if shown.has("half_backlash"):
+        half = MICRO * shown["half_backlash"]
+        motion.plot(
+            milliseconds, half, color=palette.GREY, linewidth=0.9, linestyle="--", label="drive flank"
+        )
+        if shown.has("dte") and MICRO * shown["dte"].min() < 0.0:
+            motion.plot(
+                milliseconds, -half, color=palette.GREY, linewidth=0.9, linestyle=":", label="back flank"
+            )
+    if shown.has("mesh_force"):
+        force.plot(milliseconds, KILO * shown["mesh_force"], color=palette.BLUE, **dots)
+    motion.set_ylabel("DTE (µm)")
+    force.set_ylabel("mesh force (kN)")
+    for axis, gear in zip(bearings, GEARS, strict=True):
+        if shown.has(*contact_channels(gear)):
+            axis.plot(
+                milliseconds, KILO * shown.contact_force(gear), color=palette.BLUE, label="contact", **dots
+            )
+        if parameters.model == "improved" and shown.has(*film_channels(gear)):
+            axis.plot(
+                milliseconds, KILO * shown.film_force(gear), color=palette.ORANGE, label="oil film", **dots
+            )
+        axis.set_ylabel(f"{gear} bearing\nforce (kN)")
+    for axis in (motion, *bearings):
+        if axis.get_legend_handles_labels()[0]:
+            axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.4)
+    bearings[-1].set_xlabel(f"time after {shown.time[0]:.6f} s (ms)")
+    motion.set_title(_periods_title(shown))
+    motion.margins(x=0.01)
+    figure.align_ylabels()
+    return figure
+
+
+def _period_samples(samples: Samples) -> int:
+    mesh = mesh_rate(samples)
+    if mesh is None:
+        return UNKNOWN_PERIODS
+    return max(FEWEST_SAMPLES, round(MESH_PERIODS / (abs(mesh) * samples.interval)))
+
+
+def _periods_title(shown: Samples) -> str:
+    mesh = mesh_rate(shown)
+    if mesh is None:
+        return f"Last {len(shown)} samples of the window"
+    periods = abs(mesh) * len(shown) * shown.interval
+    return f"Last {periods:.0f} mesh periods of the window (mesh frequency {KILO * abs(mesh):.3f} kHz)"
+
+
+@styled
+def spectrum(samples: Samples) -> Figure:
+    """Amplitude spectrum of the DTE, with orders of the mesh frequency on top."""
+    found = amplitude_spectrum(samples["dte"], samples.interval)
+    mesh = mesh_rate(samples)
+    highest = float(found.frequency[-1])
+    limit = min(highest, ORDERS * abs(mesh)) if mesh else highest
+    figure = Figure(figsize=(10.0, 4.6), layout="constrained")
+    axis = figure.subplots()
+    shown = slice(1, int(np.searchsorted(found.frequency, limit)) + 1)
+    amplitude = MICRO * found.amplitude[shown]
+    top = float(amplitude.max()) or 1.0
+    axis.semilogy(
+        KILO * found.frequency[shown],
+        np.maximum(amplitude, top / DYNAMIC_RANGE / 10.0),
+        color=palette.BLUE,
+        linewidth=0.8,
+    )
+    axis.set_ylim(top / DYNAMIC_RANGE, 2.0 * top)
+    axis.set_xlim(0.0, KILO * limit)
+    axis.set_xlabel("frequency (kHz)")
+    axis.set_ylabel("amplitude of DTE (µm)")
+    axis.grid(axis="x", visible=mesh is None)
+    if mesh is not None:
+        _mesh_orders(axis, KILO * abs(mesh), KILO * limit)
+    axis.set_title(
+        f"Spectrum of the DTE over {len(samples) * samples.interval:.3g} s "
+        f"(flat-top window, bins of {found.resolution:.3g} Hz)"
+    )
+    return figure
+
+
+def _mesh_orders(axis: Axes, mesh: float, limit: float) -> None:
+    """Lines at whole orders, and their numbers on an axis above; ``mesh`` and ``limit`` in kHz."""
+    for order in range(1, int(limit / mesh) + 1):
+        axis.axvline(order * mesh, color=palette.ORANGE, linewidth=0.8, linestyle=(0, (4, 3)), zorder=0.5)
+    above = axis.secondary_xaxis(
+        "top", functions=(lambda f: np.asarray(f) / mesh, lambda order: np.asarray(order) * mesh)
+    )
+    above.set_xlabel(f"order of the mesh frequency ({mesh:.3f} kHz)", color=palette.ORANGE)
+    above.tick_params(colors=palette.ORANGE)
+
+
+@styled
+def phase_portrait(samples: Samples) -> Figure:
+    """DTE against its rate, with the points where the mesh phase wraps."""
+    figure = Figure(figsize=(7.4, 5.4), layout="constrained")
+    axis = figure.subplots()
+    shown = samples.last(DRAWN_SAMPLES)
+    axis.plot(
+        MICRO * shown["dte"], shown["dte_rate"], color=palette.SKY, linewidth=0.35, alpha=0.6, label="motion"
+    )
+    if samples.has("mesh_phase"):
+        points = section(samples)
+        axis.plot(
+            MICRO * points[:, 0],
+            points[:, 1],
+            "o",
+            color=palette.ORANGE,
+            markersize=2.4,
+            markeredgewidth=0,
+            label=f"mesh phase 0 ({len(points)} points)",
+        )
+    if samples.has("half_backlash"):
+        _mark_flanks(axis, samples)
+    axis.set_xlabel("DTE (µm)")
+    axis.set_ylabel("rate of DTE (m/s)")
+    axis.set_title(f"Phase portrait and Poincaré section over {len(samples) * samples.interval:.3g} s")
+    legend = axis.legend(loc="upper right")
+    for handle in legend.get_lines():
+        handle.set_linewidth(1.2)
+        handle.set_alpha(1.0)
+        handle.set_markersize(4.5)
+    return figure
+
+
+def _mark_flanks(axis: Axes, samples: Samples) -> None:
+    """Mean places of the flanks that the motion comes near."""
+    half = float(samples["half_backlash"].mean())
+    lowest, highest = float(samples["dte"].min()), float(samples["dte"].max())
+    for place, name in ((half, "drive flank"), (-half, "back flank")):
+        if lowest - 0.2 * half <= place <= highest + 0.2 * half:
+            axis.axvline(MICRO * place, color=palette.GREY, linewidth=0.9, linestyle="--")
+            axis.annotate(
+                f"{name} (mean)",
+                (MICRO * place, 0.02),
+                xycoords=("data", "axes fraction"),
+                xytext=(4, 0),
+                textcoords="offset points",
+                rotation=90,
+                va="bottom",
+                color="#666666",
+                fontsize=8,
+            )
+
+
+@styled
+def orbits(samples: Samples, parameters: Parameters) -> Figure:
+    """Path of each journal's centre inside its clearance circle, and the oil clearance where a film acts."""
+    figure = Figure(figsize=(10.0, 10.4), layout="constrained")
+    axes = figure.subplots(2, 2)
+    shown = samples.last(DRAWN_SAMPLES)
+    sizes = {"driving": parameters.bearings.driving, "driven": parameters.bearings.driven}
+    for (bearing, close), gear in zip(axes.T, GEARS, strict=True):
+        path = MICRO * np.column_stack([shown[f"{gear}_x"], shown[f"{gear}_y"]])
+        rings = [Ring(MICRO * sizes[gear].clearance, palette.ORANGE, "bearing clearance")]
+        if parameters.model == "improved":
+            rings.append(Ring(MICRO * sizes[gear].oil_clearance, palette.GREEN, "oil clearance"))
+        half = 1.08 * max(*(ring.radius for ring in rings), float(np.abs(path).max()))
+        _orbit(bearing, path, rings, (0.0, 0.0), half)
+        _orbit(close, path, rings, *_surroundings(path))
+        bearing.set_title(f"Journal of the {gear} gear")
+        close.set_title("The same, close by")
+        bearing.legend(loc="upper left", bbox_to_anchor=(0.0, -0.1), ncols=2)
+    return figure
+
+
+class Ring(NamedTuple):
+    """A circle about the bearing's centre, radius in um."""
+
+    radius: float
+    colour: str
+    name: str
+
+    def patch(self) -> Circle:
+        """The circle to draw."""
+        label = f"{self.name}, {self.radius:g} µm"
+        return Circle((0.0, 0.0), self.radius, fill=False, edgecolor=self.colour, linewidth=1.1, label=label)
+
+
+def _orbit(
+    axis: Axes,
+    path: NDArray[np.float64],
+    rings: Sequence[Ring],
+    centre: tuple[float, float],
+    half: float,
+) -> None:
+    """A square view of the path, ``half`` its half side in um."""
+    for ring in rings:
+        axis.add_patch(ring.patch())
+    axis.plot(path[:, 0], path[:, 1], color=palette.BLUE, linewidth=0.6, alpha=0.8, label="journal centre")
+    axis.set(
+        xlim=(centre[0] - half, centre[0] + half),
+        ylim=(centre[1] - half, centre[1] + half),
+        aspect="equal",
+        xlabel="x (µm)",
+        ylabel="y (µm)",
+    )
+
+
+def _surroundings(path: NDArray[np.float64]) -> tuple[tuple[float, float], float]:
+    """Centre and half side of a square that holds the path with some room, um."""
+    low, high = path.min(axis=0), path.max(axis=0)
+    x, y = (float(value) for value in (low + high) / 2.0)
+    return (x, y), max(CLOSEST_VIEW, 0.65 * float((high - low).max()))
+
+
+@styled
+def bearing_force(samples: Samples) -> Figure:
+    """Contact force of each bearing against penetration: the area of a loop is the energy its impact takes."""
+    figure = Figure(figsize=(10.0, 4.6), layout="constrained")
+    axes = figure.subplots(1, 2, sharex=True, sharey=True)
+    shown = samples.last(LOOP_SAMPLES)
+    for axis, gear in zip(axes, GEARS, strict=True):
+        penetration = shown[f"{gear}_penetration"]
+        touching = np.where(penetration >= 0.0, MICRO * penetration, np.nan)
+        axis.plot(touching, KILO * shown.contact_force(gear), color=COLOURS[gear], linewidth=0.6, alpha=0.8)
+        if np.isnan(touching).all():
+            axis.text(0.5, 0.5, "no contact", transform=axis.transAxes, ha="center", color="#666666")
+        axis.set_xlabel("penetration (µm)")
+        axis.set_title(f"Bearing of the {gear} gear, last {len(shown) * shown.interval:.3g} s of the window")
+    axes[0].set_ylabel("bearing contact force (kN)")
+    return figure

@@ -1,0 +1,188 @@
+"""``analyze BAG --output DIR``: figures and numbers of a recording."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from gear_dynamics_ros import recording
+from gear_dynamics_ros.analysis import summary
+from gear_dynamics_ros.analysis.samples import GEARS, Samples, contact_channels
+from gear_dynamics_ros.analysis.spectra import SHORTEST
+from gear_dynamics_ros.analysis.statistics import Envelope, Statistics, quantities
+from gear_dynamics_ros.analysis.summary import Span
+from gear_dynamics_ros.cli.common import Progress, guarded
+from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.recording import Recording
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+WINDOW_SAMPLES: Final = 1_000_000
+BLOCK_SAMPLES: Final = 20_000
+SUMMARY_FILE: Final = "summary.json"
+
+
+class Pass(NamedTuple):
+    """What one pass through the whole recording gave."""
+
+    statistics: Statistics
+    envelope: Envelope
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="analyze",
+        description="Figures (PNG) and a summary (JSON) of a recording. The overview shows the whole run, the "
+        f"other figures a window: by default the last {summary.WINDOW:g} s without a change of commands.",
+    )
+    parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 folder or .mcap file")
+    parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder to write to")
+    parser.add_argument("--from", dest="start", type=float, metavar="S", help="window's start, simulated s")
+    parser.add_argument("--to", dest="end", type=float, metavar="S", help="window's end, simulated s")
+    return guarded(analyze, parser, argv)
+
+
+def analyze(arguments: argparse.Namespace) -> int:
+    """Read, compute, draw, write."""
+    if arguments.output.exists() and not arguments.output.is_dir():
+        raise UsageError(f"--output {arguments.output} is a file: name a folder")
+    bag = recording.open(arguments.bag)
+    if bag.end_sample == bag.first_sample:
+        raise GearboxError(f"{arguments.bag} holds no samples: nothing to analyse")
+    changes = change_times(bag)
+    window = choose_window(bag, changes, arguments.start, arguments.end)
+    samples = load(bag, window)
+    whole = survey(bag)
+    arguments.output.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(describe(bag, whole, samples), indent=2, allow_nan=False)
+    written = [arguments.output / SUMMARY_FILE]
+    written[0].write_text(text + "\n", encoding="utf-8")
+    figures = drawings(bag, whole, samples, changes)
+    with Progress("drawing", len(figures)) as progress:
+        for name, draw in figures.items():
+            written.append(arguments.output / f"{name}.png")
+            draw().savefig(written[-1])
+            progress(len(written) - 1)
+    for path in written:
+        print(path)
+    return 0
+
+
+def interval(bag: Recording) -> float:
+    """Sample interval in s."""
+    return bag.parameters.solver.sample_interval
+
+
+def whole_span(bag: Recording) -> Span:
+    """Simulated time that the recording covers."""
+    return Span(bag.first_sample * interval(bag), bag.end_sample * interval(bag))
+
+
+def change_times(bag: Recording) -> list[float]:
+    """When commands changed or something happened, s; not the first commands, which only set the start."""
+    samples = [sample for sample, _ in bag.commands] + [event.sample for event in bag.events]
+    inside = [sample for sample in samples if bag.first_sample < sample < bag.end_sample]
+    return summary.changes(inside, interval(bag))
+
+
+def choose_window(bag: Recording, changes: Sequence[float], start: float | None, end: float | None) -> Span:
+    """The window asked for, or the steady one; raises UsageError if it is empty, outside or too long."""
+    whole = whole_span(bag)
+    if start is None and end is None:
+        return summary.steady_window(whole, changes)
+    window = Span(whole.start if start is None else start, whole.end if end is None else end)
+    asked = f"--from {window.start:g} --to {window.end:g} s"
+    if not (math.isfinite(window.start) and math.isfinite(window.end)):
+        raise UsageError(f"{asked}: give finite times")
+    # Half a sample of slack: the ends as printed in a summary must be accepted.
+    slack = 0.5 * interval(bag)
+    if window.start < whole.start - slack or window.end > whole.end + slack:
+        raise UsageError(f"{asked} leaves the recording: stay within {whole.start:g} and {whole.end:g} s")
+    count = round((window.end - window.start) / interval(bag))
+    if count < SHORTEST:
+        raise UsageError(f"{asked} holds {max(count, 0)} samples: take at least {SHORTEST}")
+    if count > WINDOW_SAMPLES:
+        raise UsageError(f"{asked} is longer than {WINDOW_SAMPLES * interval(bag):g} s: take less")
+    return window
+
+
+def load(bag: Recording, window: Span) -> Samples:
+    """The samples of one window."""
+    first, end = (round(time / interval(bag)) for time in window)
+    first = max(first, bag.first_sample)
+    return Samples(first, interval(bag), bag.channel_names, bag.waveform(first, end))
+
+
+def survey(bag: Recording) -> Pass:
+    """One pass through everything, in pieces."""
+    found = Pass(Statistics(), Envelope())
+    with Progress("reading", bag.end_sample - bag.first_sample) as progress:
+        for samples in blocks(bag):
+            columns = quantities(samples)
+            found.statistics.add(samples, columns)
+            found.envelope.add(samples, columns)
+            progress(found.statistics.samples)
+    return found
+
+
+def blocks(bag: Recording) -> Iterator[Samples]:
+    """The recording's chunks joined to blocks that are worth a numpy call."""
+    first, waiting, rows = bag.first_sample, [], 0
+    for _, values in bag.chunks():
+        waiting.append(values)
+        rows += len(values)
+        if rows >= BLOCK_SAMPLES:
+            yield Samples(first, interval(bag), bag.channel_names, np.concatenate(waiting))
+            first, waiting, rows = first + rows, [], 0
+    if waiting:
+        yield Samples(first, interval(bag), bag.channel_names, np.concatenate(waiting))
+
+
+def describe(bag: Recording, whole: Pass, samples: Samples) -> dict[str, Any]:
+    """The summary."""
+    span = whole_span(bag)
+    return {
+        "recording": str(bag.path),
+        "complete": bag.complete,
+        "version": bag.version,
+        "kernel_hash": bag.kernel_hash,
+        "model": bag.parameters.model,
+        "duration": span.end - span.start,
+        "samples": bag.end_sample - bag.first_sample,
+        "sample_interval": interval(bag),
+        "commands": len(bag.commands),
+        "events": [event._asdict() for event in bag.events],
+        "run": summary.statistics_block(whole.statistics, span, bag.parameters),
+        "window": summary.window_block(samples, bag.parameters),
+    }
+
+
+def drawings(
+    bag: Recording, whole: Pass, samples: Samples, changes: Sequence[float]
+) -> dict[str, Callable[[], Figure]]:
+    """Figures by file name, those for which the channels were recorded."""
+    from gear_dynamics_ros.analysis import figures
+
+    shown = (float(samples.time[0]), float(samples.time[-1]))
+    motion = [f"{gear}_{axis}" for gear in GEARS for axis in "xy"]
+    loops = [name for gear in GEARS for name in (f"{gear}_penetration", *contact_channels(gear))]
+    possible: dict[str, tuple[bool, Callable[[], Figure]]] = {
+        "overview": (
+            figures.has_overview(whole.envelope),
+            lambda: figures.overview(whole.envelope, changes, shown),
+        ),
+        "time_series": (samples.has("dte"), lambda: figures.time_series(samples, bag.parameters)),
+        "spectrum": (samples.has("dte") and len(samples) >= SHORTEST, lambda: figures.spectrum(samples)),
+        "phase_portrait": (samples.has("dte", "dte_rate"), lambda: figures.phase_portrait(samples)),
+        "orbits": (samples.has(*motion), lambda: figures.orbits(samples, bag.parameters)),
+        "bearing_force": (samples.has(*loops), lambda: figures.bearing_force(samples)),
+    }
+    return {name: draw for name, (there, draw) in possible.items() if there}
