@@ -15,13 +15,13 @@ from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64, Float64MultiArray, String
 
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.harness import Player, Profile, Result
-from gear_dynamics_ros.messages import TOPICS, Topic, resolve, waveform_samples
+from gear_dynamics_ros.messages import TOPICS, resolve, waveform_samples
+from gear_dynamics_ros.node_topics import quality
 
 # s of wall time after which a value that stays is said again: a gearbox may have a command timeout.
 REPEAT = 0.1
@@ -88,10 +88,10 @@ class _Session:
         self._executor.add_node(self._ros)
         self._publishers = {name: self._command_publisher(name) for name in profile.commands}
         self._waveform = self._ros.create_subscription(
-            Float64MultiArray, self._topic("waveform"), self._take_chunk, _quality(TOPICS["waveform"])
+            Float64MultiArray, self._topic("waveform"), self._take_chunk, quality(TOPICS["waveform"])
         )
         self._events = self._ros.create_subscription(
-            String, self._topic("event"), self._take_event, _quality(TOPICS["event"])
+            String, self._topic("event"), self._take_event, quality(TOPICS["event"])
         )
         self._player: Player | None = None
         self._joined = False
@@ -147,7 +147,7 @@ class _Session:
 
     def _command_publisher(self, command: str) -> Publisher:
         key = f"{command}_command"
-        return self._ros.create_publisher(Float64, self._topic(key), _quality(TOPICS[key]))
+        return self._ros.create_publisher(Float64, self._topic(key), quality(TOPICS[key]))
 
     def _senders(self) -> int:
         return int(self._ros.count_publishers(self._waveform.topic_name))
@@ -207,11 +207,3 @@ class _Session:
                 self._publishers[name].publish(Float64(data=value))
                 self._said[name] = (value, now)
                 self._published += 1
-
-
-def _quality(topic: Topic) -> QoSProfile:
-    return QoSProfile(  # type: ignore[no-untyped-call]
-        depth=topic.depth,
-        reliability=ReliabilityPolicy.RELIABLE if topic.reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE,
-    )
