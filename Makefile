@@ -43,7 +43,7 @@ $(INSTALLED): setup.py setup.cfg pyproject.toml constraints.txt
 	@test -x $(BIN)/python || { echo "== Creating $(VENV) with $$($(PYTHON) --version)"; $(PYTHON) -m venv $(VENV); } || { \
 		rm -rf $(VENV); \
 		echo "make: $(PYTHON) can't create a venv; on Debian and Ubuntu: apt-get install python3-venv" >&2; exit 1; }
-	@echo "== Installing gear_dynamics_ros and the pinned packages it needs (about 500 MB, a minute or two)"
+	@echo "== Installing gear_dynamics_ros and the pinned packages it needs (1.6 GB on disk, a few minutes)"
 	@$(BIN)/python -m pip install --disable-pip-version-check --progress-bar off --constraint constraints.txt setuptools
 	@$(BIN)/python -m pip install --disable-pip-version-check --progress-bar off --constraint constraints.txt \
 		--no-build-isolation --editable '.[ros,viewer,test]'

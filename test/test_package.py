@@ -1,0 +1,145 @@
+"""The package installs by pip and by colcon, and both leave what ``ros2 run`` and a shell look for."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+from importlib import metadata
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+from catkin_pkg.package import parse_package
+from conftest import executable
+
+import gear_dynamics_ros
+from gear_dynamics_ros import resources
+from gear_dynamics_ros.errors import GearboxError
+
+SOURCE = Path(__file__).resolve().parent.parent
+PACKAGE = "gear_dynamics_ros"
+EXECUTABLES = ("analyze", "drive", "gearbox", "replay", "simulate")
+SHARED = (
+    "package.xml",
+    "config/gearbox.yaml",
+    "config/paper.yaml",
+    "config/profiles/demo.yaml",
+    "launch/gearbox.launch.py",
+)
+
+
+class Installation(NamedTuple):
+    """A prefix with the package, and the environment that prefers it to any other copy."""
+
+    prefix: Path
+    environment: dict[str, str]
+
+    def run(self, *command: str | Path) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            command, env=self.environment, cwd=self.prefix, capture_output=True, text=True, timeout=120
+        )
+
+
+def checked(command: list[str], environment: dict[str, str] | None = None) -> None:
+    done = subprocess.run(
+        command, env=os.environ | (environment or {}), capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def installation(prefix: Path) -> Installation:
+    library = sysconfig.get_path("purelib", vars={"base": str(prefix), "platbase": str(prefix)})
+    assert (Path(library) / PACKAGE).is_dir()
+    return Installation(prefix, os.environ | {"PYTHONPATH": library})
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy without leftovers: setuptools builds inside the tree and installs what it finds there."""
+    copy = tmp_path_factory.mktemp("source") / PACKAGE
+    ignored = shutil.ignore_patterns(".*", "__pycache__", "*.egg-info", "build", "install", "log", "demo")
+    shutil.copytree(SOURCE, copy, ignore=ignored)
+    return copy
+
+
+@pytest.fixture(scope="module", params=["pip", "colcon"])
+def installed(
+    request: pytest.FixtureRequest, source: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Installation:
+    place = tmp_path_factory.mktemp(request.param)
+    if request.param == "pip":
+        offline = ["--no-index", "--no-deps", "--no-build-isolation", "--ignore-installed"]
+        pip = [sys.executable, "-m", "pip", "install", "--quiet", *offline]
+        checked([*pip, "--prefix", str(place), str(source)])
+        return installation(place)
+    colcon = [executable("colcon"), "--log-base", str(place / "log"), "build"]
+    places = ["--build-base", str(place / "build"), "--install-base", str(place / "install")]
+    checked(
+        [*colcon, "--base-paths", str(source), *places],
+        {"AMENT_PREFIX_PATH": sys.prefix, "COLCON_HOME": str(place / "home")},
+    )
+    return installation(place / "install" / PACKAGE)
+
+
+@pytest.mark.parametrize("name", EXECUTABLES)
+def test_executable_runs_for_ros2_run_and_from_the_shell(installed: Installation, name: str) -> None:
+    assert os.access(installed.prefix / "bin" / name, os.X_OK)
+    done = installed.run(installed.prefix / "lib" / PACKAGE / name, "--help")
+    assert done.returncode == 0, done.stderr
+    assert f"usage: {name}" in done.stdout
+
+
+def test_only_the_documented_executables(installed: Installation) -> None:
+    found = sorted(path.name for path in (installed.prefix / "lib" / PACKAGE).iterdir())
+    assert found == sorted(EXECUTABLES)
+
+
+def test_executable_passes_arguments_and_exit_code_on(installed: Installation) -> None:
+    simulate = installed.prefix / "lib" / PACKAGE / "simulate"
+    done = installed.run(simulate, "--output", "unused", "--set", "no such=1")
+    assert done.returncode == 2
+    assert "no such" in done.stderr
+
+
+def test_shared_files_are_found(installed: Installation) -> None:
+    assert (installed.prefix / "share/ament_index/resource_index/packages" / PACKAGE).is_file()
+    code = f"from {PACKAGE}.resources import share_file; print(*map(share_file, {SHARED}), sep='\\n')"
+    done = installed.run(sys.executable, "-c", code)
+    share = installed.prefix / "share" / PACKAGE
+    assert done.stdout.splitlines() == [str(share / name) for name in SHARED], done.stderr
+
+
+def test_shared_file_of_a_checkout() -> None:
+    assert resources.share_file("config/gearbox.yaml") == SOURCE / "config/gearbox.yaml"
+
+
+def test_missing_shared_file_is_named() -> None:
+    with pytest.raises(GearboxError, match=r"config/none\.yaml: not found"):
+        resources.share_file("config/none.yaml")
+
+
+def test_manifest_agrees_with_the_package() -> None:
+    warnings: list[str] = []
+    manifest = parse_package(str(SOURCE), warnings=warnings)
+    manifest.validate(warnings=warnings)
+    assert warnings == []
+    assert manifest.name == PACKAGE
+    assert manifest.version == gear_dynamics_ros.__version__ == metadata.version(PACKAGE)
+    assert [str(license) for license in manifest.licenses] == ["Apache-2.0"]
+    assert [export.content for export in manifest.exports] == ["ament_python"]
+
+
+def test_entry_points_are_the_executables() -> None:
+    scripts = metadata.distribution(PACKAGE).entry_points.select(group="console_scripts")
+    assert sorted(scripts.names) == sorted(EXECUTABLES)
+    assert all(callable(script.load()) for script in scripts)
+
+
+def test_engine_analysis_and_recording_need_neither_ros_nor_viewer() -> None:
+    modules = ", ".join(f"{PACKAGE}.{name}" for name in ("engine", "analysis", "recording", "cli.simulate"))
+    code = f"import sys; sys.modules.update(rclpy=None, rerun=None); import {modules}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
