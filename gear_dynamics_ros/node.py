@@ -54,6 +54,7 @@ class GearboxNode(LifecycleNode):  # type: ignore[misc]
         self._stop = stop
         self.parameters = node_parameters.declare(self)
         self.failure: GearboxError | None = None
+        self._tell_failure = True
         self._ignore_sim_time()
         self._factor = self.parameters.pacing.real_time_factor
         self.add_pre_set_parameters_callback(node_parameters.integers_to_floats)
@@ -75,9 +76,11 @@ class GearboxNode(LifecycleNode):  # type: ignore[misc]
 
     def bring_up(self) -> None:
         """Configure and activate. Raises GearboxError with the reason if that fails."""
+        self._tell_failure = False
         for trigger in (self.trigger_configure, self.trigger_activate):
             if trigger() != TransitionCallbackReturn.SUCCESS:
                 raise self.failure or GearboxError("the node could not be brought up: see its log")
+        self._tell_failure = True
 
     def end(self, reason: str) -> None:
         """Finish everything; the node is of no use afterwards."""
