@@ -391,7 +391,7 @@ def _surroundings(path: NDArray[np.float64]) -> tuple[tuple[float, float], float
 
 @styled
 def bearing_force(samples: Samples) -> Figure:
-    """Contact force of each bearing against penetration: the area of a loop is the energy its impact takes."""
+    """Contact force of each bearing against penetration: a loop's area is the energy it takes."""
     figure = Figure(figsize=(10.0, 4.6), layout="constrained")
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
     shown = samples.last(LOOP_SAMPLES)
