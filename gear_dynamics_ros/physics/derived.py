@@ -132,7 +132,8 @@ def constants(parameters: Parameters) -> np.record:
         kelvin=parameters.model == "traditional",
         film=parameters.model == "improved",
         exact_geometry=parameters.mesh_geometry == "exact",
-        contact_damping=parameters.mesh_damping == "contact",
+        # Without damping nothing pulls, and the clamp would be the gap itself.
+        contact_damping=parameters.mesh_damping == "contact" and mesh.damping_ratio > 0.0,
         nominal_phase=parameters.mesh_phase == "nominal",
         brake=operation.load_law == "brake",
         governed=operation.control == "speed",

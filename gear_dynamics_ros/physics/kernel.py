@@ -693,7 +693,7 @@ def grazing_fraction(points: Floats, h: float) -> float:
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
 def flip(constants: np.record, event: int, states: Floats, flags: Flags, points: Floats) -> None:
-    """Change the flag that ``event`` stands for; a bearing contact that begins latches its impact speed."""
+    """Change the flag that ``event`` stands for; a bearing contact that begins latches its speed."""
     if event <= LOWER_GAP:
         side = 1 if event == UPPER_GAP else -1
         flags[FLANK] = side if flags[FLANK] == 0 else 0
@@ -718,6 +718,21 @@ def flip(constants: np.record, event: int, states: Floats, flags: Flags, points:
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
+def settled_with(event: int) -> int:
+    """Bits of the events that one stop decides together with ``event``: itself, and of a gap its clamp.
+
+    Where a contact begins or ends without damping, gap and clamp are the same surface, and rounding alone would
+    say on which side of the clamp the state lies.
+    """
+    bits = 1 << event
+    if event <= LOWER_GAP:
+        bits |= 1 << MESH_CLAMP
+    elif event == BEARING_GAP or event == BEARING_GAP + 1:
+        bits |= 1 << (event - BEARING_GAP + BEARING_CLAMP)
+    return bits
+
+
+@njit(cache=True, fastmath={"contract"}, error_model="numpy")
 def settle(
     constants: np.record,
     speed: float,
@@ -731,18 +746,20 @@ def settle(
 ) -> None:
     """Flip ``event`` at HERE and, as events fall together, every other one that is past its surface."""
     flip(constants, event, states, flags, points)
-    flipped = 1 << event
+    flipped = settled_with(event)
     for _ in range(EVENT_COUNT):
         evaluate(constants, speed, load, states, HERE, flags, excs, HERE, lag, points, HERE)
         following = -1
         for other in range(EVENT_COUNT):
-            if points[HERE, VALUE + other] < 0.0 and not (flipped >> other) & 1:
+            value, change = points[HERE, VALUE + other], points[HERE, RATE + other]
+            past = value < 0.0 or (value == 0.0 and change < 0.0)
+            if past and not (flipped >> other) & 1:
                 following = other
                 break
         if following < 0:
             return
         flip(constants, following, states, flags, points)
-        flipped |= 1 << following
+        flipped |= settled_with(following)
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")

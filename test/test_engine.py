@@ -1,0 +1,227 @@
+"""The engine: the same bits at any chunk length, checkpoints, governor, loads, and how a run ends."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.signals import CHANNELS, Commands, Status
+
+SAMPLES = 600
+
+
+def parameters(**changed: Any) -> Parameters:
+    """Defaults with ``changed``: dots of a name are written as two underscores."""
+    names = {name.replace("__", "."): value for name, value in changed.items()}
+    return Parameters.from_flat(names)
+
+
+PAPER = {
+    "mesh_geometry": "published",
+    "mesh_damping": "always",
+    "restitution_law": "lankarani_nikravesh",
+    "mesh_phase": "nominal",
+    "operation__control": "torque",
+}
+
+
+@given(st.lists(st.integers(1, 250), min_size=1, max_size=12), st.booleans())
+@settings(max_examples=20)
+def test_chunk_length_changes_no_bit(lengths: list[int], paper: bool) -> None:
+    chosen = parameters(**(PAPER if paper else {}))
+    whole = Engine(chosen).advance(sum(lengths))
+    engine = Engine(chosen)
+    parts = [engine.advance(length) for length in lengths]
+    assert np.concatenate([part.samples for part in parts]).tobytes() == whole.samples.tobytes()
+    assert np.concatenate([part.angles for part in parts]).tobytes() == whole.angles.tobytes()
+    assert parts[-1].counters == whole.counters
+
+
+@pytest.mark.parametrize("model", ["traditional", "compared", "improved"])
+@pytest.mark.parametrize(
+    "switches",
+    list(
+        itertools.product(
+            ["published", "exact"],
+            ["always", "contact"],
+            ["lankarani_nikravesh", "exact"],
+            ["nominal", "actual"],
+        )
+    ),
+)
+def test_every_model_runs_under_every_switch(model: str, switches: tuple[str, ...]) -> None:
+    names = ("mesh_geometry", "mesh_damping", "restitution_law", "mesh_phase")
+    chunk = Engine(parameters(model=model, **dict(zip(names, switches, strict=True)))).advance(SAMPLES)
+    assert chunk.status is Status.RUNNING
+    assert chunk.samples.shape == (SAMPLES, len(CHANNELS))
+    assert np.isfinite(chunk.samples).all()
+    assert set(np.unique(chunk["meshing_state"])) <= {-1.0, 0.0, 1.0}
+    film = np.abs(chunk.samples[:, 16:20]).max()
+    assert (film > 0.0) == (model == "improved")
+
+
+def test_a_checkpoint_goes_on_bit_for_bit_through_json() -> None:
+    chosen = parameters()
+    engine = Engine(chosen)
+    engine.advance(333)
+    engine.command(Commands(10.0, 45.0, 1500.0))
+    saved = json.dumps(engine.checkpoint())
+    rest = engine.advance(SAMPLES)
+    restored = Engine(chosen)
+    restored.restore(json.loads(saved))
+    again = restored.advance(SAMPLES)
+    assert again.samples.tobytes() == rest.samples.tobytes()
+    assert (again.first_sample, again.commands, again.counters) == (333, rest.commands, rest.counters)
+
+
+def test_a_spoiled_checkpoint_changes_nothing() -> None:
+    engine = Engine(parameters())
+    before = engine.checkpoint()
+    for entry, value in (("format", 0), ("state", [1.0]), ("flags", None), ("commands", {"torque": 1.0})):
+        with pytest.raises(GearboxError, match="checkpoint"):
+            engine.restore({**before, entry: value})
+    del before["sample"]
+    with pytest.raises(GearboxError, match="sample"):
+        engine.restore(before)
+    assert engine.checkpoint()["sample"] == 0
+
+
+def test_time_is_a_counter_and_goes_on_through_a_reset() -> None:
+    engine = Engine(parameters())
+    first = engine.advance(250)
+    assert first["time"].tolist() == [k / 100_000 for k in range(250)]
+    engine.reset()
+    second = engine.advance(250)
+    assert second.first_sample == 250
+    assert second["time"][0] == 0.0025
+    assert second.samples[:, 1:].tobytes() == first.samples[:, 1:].tobytes()
+
+
+@pytest.mark.parametrize("phase", ["actual", "nominal"])
+@pytest.mark.parametrize("teeth", [(23, 41), (40, 40), (41, 23)])
+def test_surfaces_are_continuous_where_the_phase_wraps(phase: str, teeth: tuple[int, int]) -> None:
+    engine = Engine(
+        parameters(
+            gears__driving__teeth=teeth[0],
+            gears__driven__teeth=teeth[1],
+            mesh_phase=phase,
+            operation__control="torque",
+            operation__speed=4000.0,
+            operation__speed_limit=1e5,
+            operation__load_torque=30.0 * teeth[1] / teeth[0],
+            solver__step=0.25e-6,
+            solver__sample_interval=0.25e-6,
+            surface__waves=5,
+        )
+    )
+    chunk = engine.advance(26_000)
+    wraps = np.flatnonzero(np.diff(chunk["driving_angle"]) < 0.0)
+    assert len(wraps) >= 4
+    steps = np.abs(np.diff(chunk["half_backlash"]))
+    # The steepest wave moves by its amplitude times its phase in a step; a jump would be of the order of Ra.
+    assert steps[wraps].max() <= steps.max()
+    assert steps.max() < 0.25e-6
+
+
+def test_accumulated_angles_run_on() -> None:
+    engine = Engine(
+        parameters(gears__driving__teeth=20, operation__control="torque", solver__sample_interval=1e-6)
+    )
+    chunk = engine.advance(20_000)
+    speeds = np.stack([chunk["driving_speed"], chunk["driven_speed"]], axis=1)
+    expected = (speeds[1:] + speeds[:-1]) / 2 * 1e-6
+    np.testing.assert_allclose(np.diff(chunk.angles, axis=0), expected, atol=1e-8)
+    np.testing.assert_allclose(chunk.angles[:, 0] % (2 * math.pi), chunk["driving_angle"], atol=1e-9)
+    assert chunk.angles[-1, 0] > 4 * math.pi
+
+
+def test_the_nominal_phase_does_not_drift() -> None:
+    speed = 1234.5678
+    engine = Engine(parameters(**PAPER, operation__speed=speed))
+    count = 40_000
+    engine.advance(count)
+    phase = engine.advance(1)["mesh_phase"][0]
+    exact = math.fmod(40 * speed * count * 1e-5, 2 * math.pi)
+    assert phase == pytest.approx(exact, abs=2e-11)
+
+
+def test_governor_is_evaluated_once_a_sample() -> None:
+    engine = Engine(parameters(operation__speed=1000.0))
+    engine.advance(100)
+    engine.command(Commands(30.0, 30.0, 1010.0))
+    chunk = engine.advance(SAMPLES)
+    error = 1010.0 - chunk["driving_speed"]
+    integral = 30.0 + np.concatenate([[0.0], np.cumsum(5.0 * error * 1e-5)[:-1]])
+    start = chunk["drive_torque"][0] - 0.5 * error[0]
+    np.testing.assert_allclose(chunk["drive_torque"], 0.5 * error + start + integral - 30.0, atol=1e-9)
+
+
+def test_governor_stands_still_while_clipped() -> None:
+    engine = Engine(parameters(operation__speed=100.0, operation__governor__torque_limit=35.0))
+    engine.command(Commands(30.0, 30.0, 3000.0))
+    chunk = engine.advance(SAMPLES)
+    assert (chunk["drive_torque"] == 35.0).all()
+    engine.command(Commands(30.0, 30.0, float(chunk["driving_speed"][-1])))
+    assert engine.advance(1)["drive_torque"][0] == pytest.approx(30.0, abs=1.0)
+
+
+def test_brake_and_viscous_load() -> None:
+    engine = Engine(
+        parameters(operation__load_law="brake", operation__load_viscous=0.01, operation__initial="rest")
+    )
+    chunk = engine.advance(SAMPLES)
+    expected = 30.0 * np.tanh(chunk["driven_speed"]) + 0.01 * chunk["driven_speed"]
+    np.testing.assert_allclose(chunk["load_torque"], expected, rtol=1e-12, atol=1e-12)
+    assert chunk["driven_speed"][0] == 0.0
+
+
+def test_over_speed_ends_the_run_at_the_sample_that_broke_the_limit() -> None:
+    engine = Engine(parameters(**PAPER, operation__speed=1000.0, operation__speed_limit=1010.0))
+    engine.command(Commands(200.0, 30.0, 1000.0))
+    chunk = engine.advance(5000)
+    assert chunk.status is Status.OVER_SPEED
+    fastest = np.maximum(chunk["driving_speed"], chunk["driven_speed"])
+    assert fastest[-1] > 1010.0 >= fastest[:-1].max()
+    assert "operation.speed_limit = 1010" in chunk.message
+    with pytest.raises(GearboxError, match="reset"):
+        engine.advance()
+    engine.reset()
+    assert engine.advance().status is Status.RUNNING
+
+
+def test_a_state_that_is_not_finite_ends_the_run_without_showing_it() -> None:
+    engine = Engine(parameters(**PAPER, model="compared"))
+    engine.advance(50)
+    spoiled = engine.checkpoint()
+    spoiled["state"][6] = math.nan
+    engine.restore(spoiled)
+    chunk = engine.advance(100)
+    assert chunk.status is Status.NON_FINITE
+    assert len(chunk) == 0
+    assert "solver.step" in chunk.message
+
+
+def test_centres_pressed_together_end_the_run() -> None:
+    engine = Engine(parameters(gears__backlash=1e-6, mesh__error_cos=[20e-6], operation__drive_torque=150.0))
+    engine.command(Commands(150.0, 150.0, 1600.0))
+    chunk = engine.advance(20_000)
+    assert chunk.status is Status.CENTRES_PRESSED
+    assert "b1 <= 0" in chunk.message
+
+
+def test_engine_needs_neither_ros_nor_rerun_nor_matplotlib() -> None:
+    blocked = "import sys; sys.modules.update(dict.fromkeys(['rclpy', 'rerun', 'matplotlib']));"
+    code = f"{blocked} import gear_dynamics_ros.engine, gear_dynamics_ros.recording, gear_dynamics_ros.replay"
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,0 +1,156 @@
+"""simulate and replay as a user types them: records, verifies, and says what is wrong."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gear_dynamics_ros import recording, replay
+from gear_dynamics_ros.cli.replay import main as replay_main
+from gear_dynamics_ros.cli.simulate import main as simulate_main
+from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.messages import Encoder
+from gear_dynamics_ros.parameters import Parameters, load
+from gear_dynamics_ros.recording.writer import Recorder
+from gear_dynamics_ros.run import Run
+from gear_dynamics_ros.signals import Commands
+
+CONFIG = Path(__file__).parent.parent / "config"
+
+
+def simulate(output: Path, *words: str, duration: str = "0.02") -> int:
+    command = ["--params-file", str(CONFIG / "paper.yaml"), "--output", str(output), "--duration", duration]
+    return simulate_main([*command, *words])
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("simulated") / "bag"
+    assert simulate(path) == 0
+    return path
+
+
+def test_simulate_records_what_the_engine_gives(bag: Path) -> None:
+    expected = Engine(load(CONFIG / "paper.yaml")).advance(2000)
+    assert recording.open(bag).waveform().tobytes() == expected.samples.tobytes()
+
+
+def test_verify_proves_it(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert replay_main(["verify", str(bag)]) == 0
+    assert "2000 samples of 28 channels came out the same to the bit" in capsys.readouterr().out
+
+
+def test_info_tells_what_is_there(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert replay_main(["info", str(bag)]) == 0
+    shown = capsys.readouterr().out
+    assert "complete" in shown and "2000 samples" in shown and "/gearbox/waveform" in shown
+
+
+class _Into:
+    def __init__(self, recorder: Recorder) -> None:
+        self.recorder = recorder
+
+    def write(self, _: object, records: list) -> None:  # type: ignore[type-arg]
+        self.recorder.write(records)
+
+    def close(self) -> None:
+        self.recorder.close()
+
+
+def commanded(path: Path, parameters: Parameters, recorded_as: Parameters | None = None) -> Path:
+    """A run with commands and a reset; the recording may claim other parameters than it was made with."""
+    engine = Engine(parameters)
+    recorder = Recorder(path, recorded_as or parameters, engine.checkpoint(), 1_000_000_000)
+    run = Run(engine, Encoder(parameters, 1_000_000_000), [_Into(recorder)])
+    run.step()
+    run.step(Commands(30.0, 55.0, 1700.0))
+    run.step()
+    run.reset()
+    run.step()
+    run.step(Commands(30.0, -20.0, 1500.0))
+    run.close()
+    return path
+
+
+def test_commands_and_resets_come_out_again(tmp_path: Path) -> None:
+    result = replay.verify(recording.open(commanded(tmp_path / "bag", Parameters())))
+    assert result.difference is None
+    assert result.samples == 5 * Parameters().solver.samples_per_chunk
+
+
+def test_another_parameter_is_found_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    claimed = Parameters.from_flat({"oil.viscosity": 0.0229})
+    path = commanded(tmp_path / "bag", Parameters(), recorded_as=claimed)
+    difference = replay.verify(recording.open(path)).difference
+    assert difference is not None
+    assert difference.simulated is not None and difference.recorded != difference.simulated
+    assert replay_main(["verify", str(path)]) == 1
+    assert f"sample {difference.sample}, {difference.channel}" in capsys.readouterr().err
+
+
+def test_one_altered_bit_is_found(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = recording.open(bag)
+    original = opened.chunks
+
+    def altered(*arguments: int) -> object:
+        for first, samples in original(*arguments):
+            changed = samples.copy()
+            if first == 1000:
+                changed[7, 3] = np.nextafter(changed[7, 3], np.inf)
+            yield first, changed
+
+    monkeypatch.setattr(opened, "chunks", altered)
+    difference = replay.verify(opened).difference
+    assert difference is not None
+    assert (difference.sample, difference.channel) == (1007, "mesh_force")
+
+
+def test_a_trip_ends_with_the_reason_and_a_complete_recording(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "bag"
+    words = ("--set", "operation.drive_torque=190.0", "--set", "operation.speed_limit=1640.0")
+    assert simulate(path, *words, duration="0.1") == 1
+    error = capsys.readouterr().err
+    assert "over-speed" in error and "operation.speed_limit = 1640" in error and error.count("\n") == 1
+    opened = recording.open(path)
+    assert opened.complete
+    assert opened.events[-1].kind == "end" and "over-speed" in opened.events[-1].message
+    assert replay.verify(opened).difference is None
+
+
+@pytest.mark.parametrize(
+    ("words", "duration", "told"),
+    [
+        (("--set", "operation.sped=1"), "0.02", "operation.speed"),
+        (("--set", "bearings.driving.restitution=1.5"), "0.02", "bearings.driving.restitution"),
+        ((), "-1", "--duration"),
+        ((), "inf", "--duration"),
+    ],
+)
+def test_bad_requests_are_refused_before_anything_is_made(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], duration: str, told: str
+) -> None:
+    path = tmp_path / "bag"
+    assert simulate(path, *words, duration=duration) == 2
+    error = capsys.readouterr().err
+    assert told in error and error.count("\n") == 1
+    assert not path.exists()
+
+
+def test_nothing_is_overwritten(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(bag, copy)
+    assert simulate(copy) == 2
+    assert "exists" in capsys.readouterr().err
+    assert replay_main(["verify", str(copy)]) == 0
+
+
+def test_a_file_that_is_no_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "x.mcap").write_bytes(b"not an mcap file")
+    assert replay_main(["info", str(tmp_path / "x.mcap")]) in (1, 2)
+    error = capsys.readouterr().err
+    assert error.startswith("replay: error: ") and error.count("\n") == 1
