@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from gear_dynamics_ros.commands import Tally
+from gear_dynamics_ros.live import Live
 from gear_dynamics_ros.pacing import Pace
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.recording.writer import Stats
+from gear_dynamics_ros.recording.writer import Recorder, Stats
 from gear_dynamics_ros.signals import Counters
+from gear_dynamics_ros.viewer import Viewer
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
@@ -50,6 +53,26 @@ class Health(NamedTuple):
     counters: Counters
     recorder: RecorderHealth | None
     viewer: ViewerHealth | None
+
+
+def health(live: Live, recorder: Recorder | None, viewer: Viewer | None, wanted_factor: float) -> Health:
+    """How everything stands; the pace since the last call."""
+    state = (
+        "ended" if live.ended else "inactive" if not live.active else "paused" if live.paused else "running"
+    )
+    tally = live.mailbox.tally()
+    age = live.mailbox.age(time.monotonic_ns()) if tally.accepted else math.nan
+    return Health(
+        run=RunHealth(state, live.ended, live.time, live.run.completed and not live.run.tripped),
+        pace=live.pace(),
+        wanted_factor=wanted_factor,
+        commands=CommandHealth(tally, age, live.timed_out),
+        counters=live.counters,
+        recorder=None
+        if recorder is None
+        else RecorderHealth(str(recorder.path), recorder.stats, recorder.error),
+        viewer=None if viewer is None else ViewerHealth(viewer.queued, viewer.dropped, viewer.error),
+    )
 
 
 class Surface(NamedTuple):

@@ -10,18 +10,21 @@ from concurrent.futures import Future
 from typing import TypeVar
 
 from gear_dynamics_ros.commands import Mailbox
+from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages import Record
 from gear_dynamics_ros.pacing import Pace, Pacer
+from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.run import PAUSE, RESUME, Run
 from gear_dynamics_ros.signals import Chunk, Counters
 
+PATIENCE = 2.0  # s of silence while the kernel compiles
 T = TypeVar("T")
 RELEASED = {"drive_torque": 0.0, "load_torque": 0.0}
 
 
 class Live:
-    """Paces a run. Only its thread touches the run; others ask through ``call``, served at the next chunk edge."""
+    """Paces a run. Only its thread touches the run; others ask through ``call``, served between chunks."""
 
     def __init__(
         self,
@@ -30,7 +33,7 @@ class Live:
         after_chunk: Callable[[Chunk], Sequence[Record]],
         on_end: Callable[[], None],
     ) -> None:
-        """``after_chunk`` may add messages to a chunk's; ``on_end`` is told, on Live's thread, of the run's end."""
+        """``after_chunk`` may add messages to a chunk's; ``on_end`` is called at the end, on the thread."""
         self.run = run
         self.mailbox = mailbox
         self._after_chunk = after_chunk
@@ -202,3 +205,14 @@ class Live:
             self._pacer.done(len(chunk) * self._interval_ns, time.monotonic_ns())
         if self.run.end:
             self._on_end()
+
+
+def warm_up(parameters: Parameters, say: Callable[[str], object]) -> None:
+    """Compile the kernel unless that has been done; ``say`` so if it takes long."""
+    notice = threading.Timer(PATIENCE, say, ["compiling the kernel; only a first start takes this long"])
+    notice.daemon = True
+    notice.start()
+    try:
+        Engine(parameters).advance(1)
+    finally:
+        notice.cancel()

@@ -2,56 +2,48 @@
 
 from __future__ import annotations
 
-import argparse
-import math
-import threading
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Any
 
-import rclpy
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.exceptions import ParameterException
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.serialization import serialize_message
-from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import remove_ros_args
 from std_srvs.srv import SetBool, Trigger
 
 from gear_dynamics_ros import diagnostics, node_parameters, node_topics
-from gear_dynamics_ros.cli.common import guarded
 from gear_dynamics_ros.commands import Mailbox, joint_changes
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.live import Live
+from gear_dynamics_ros.live import Live, warm_up
 from gear_dynamics_ros.messages import Encoder, Record, message_class, serialize, stamp
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.process import Parent, Signals
 from gear_dynamics_ros.recordings import Recordings
 from gear_dynamics_ros.run import PAUSE, RESUME, Run, ViewerSink, advice
 from gear_dynamics_ros.signals import Chunk
 from gear_dynamics_ros.viewer import Viewer, open_viewer
 
 FACTOR = "pacing.real_time_factor"
-PATIENCE = 2.0  # s of silence while the kernel compiles
-SPIN = 1.0  # s
 WARN_EVERY = 5.0  # s
 MOST_STRANGERS = 100  # names of unknown joints remembered
 Transition = Callable[[], None]
 
 
-class GearboxNode(LifecycleNode):  # type: ignore[misc]
+class GearboxNode(LifecycleNode):
     """Managed node around one run. Raises UsageError if a parameter can't be."""
 
     def __init__(self, stop: Callable[[str], None]) -> None:
-        """``stop`` is called, on any thread, when the run is over."""
+        """``stop`` is called with the reason, on Live's thread, when ``pacing.duration`` is over."""
         super().__init__("gearbox", automatically_declare_parameters_from_overrides=True)
         self._stop = stop
+        self._log: Any = self.get_logger()  # type: ignore[no-untyped-call]
         self.parameters = node_parameters.declare(self)
         self.failure: GearboxError | None = None
         self._tell_failure = True
@@ -77,16 +69,17 @@ class GearboxNode(LifecycleNode):  # type: ignore[misc]
     def bring_up(self) -> None:
         """Configure and activate. Raises GearboxError with the reason if that fails."""
         self._tell_failure = False
-        for trigger in (self.trigger_configure, self.trigger_activate):
+        triggers: tuple[Any, ...] = (self.trigger_configure, self.trigger_activate)
+        for trigger in triggers:
             if trigger() != TransitionCallbackReturn.SUCCESS:
                 raise self.failure or GearboxError("the node could not be brought up: see its log")
         self._tell_failure = True
 
     def end(self, reason: str) -> None:
         """Finish everything; the node is of no use afterwards."""
-        self.get_logger().info(f"ending: {reason}")
+        self._log.info(f"ending: {reason}")
         self._release(reason)
-        self.trigger_shutdown()
+        self.trigger_shutdown()  # type: ignore[no-untyped-call]
 
     # Transitions
 
@@ -113,18 +106,18 @@ class GearboxNode(LifecycleNode):  # type: ignore[misc]
             act()
         except GearboxError as error:
             self.failure = error
-            self.get_logger().error(str(error))
+            self._log.error(str(error))
             if self._live is None:
                 self._release("failed")
             return TransitionCallbackReturn.FAILURE
         except Exception:
-            self.get_logger().error(traceback.format_exc())
+            self._log.error(traceback.format_exc())
             return TransitionCallbackReturn.ERROR
         return TransitionCallbackReturn.SUCCESS
 
     def _configure(self) -> None:
         self._report_advice()
-        warm_up(self.parameters, self.get_logger().info)
+        warm_up(self.parameters, self._log.info)
         self._engine = Engine(self.parameters)
         self._mailbox = Mailbox(self.parameters, time.monotonic_ns())
         self._viewer = open_viewer(self.parameters)
@@ -144,6 +137,7 @@ class GearboxNode(LifecycleNode):  # type: ignore[misc]
         else:
             self._live.run.note(RESUME, "activated")
         self._live.start()
+        self._log.info(f"running the {self.parameters.model} model from {self._live.time:.9g} s on")
 
     def _deactivate(self) -> None:
         if self._live is not None:
@@ -175,7 +169,7 @@ class GearboxNode(LifecycleNode):  # type: ignore[misc]
         if self._recordings.wanted:
             path = self._recordings.begin(beside=self._recorded_before)
             self._recorded_before = True
-            self.get_logger().info(f"recording to {path}")
+            self._log.info(f"recording to {path}")
         return Live(run, self._mailbox, self._clock_records, self._run_ended)
 
     def _release(self, reason: str) -> None:
@@ -191,8 +185,8 @@ class GearboxNode(LifecycleNode):  # type: ignore[misc]
             self._owned.pop()()
         self._publishers_by_key = {}
 
-    def _own(self, destroy: Callable[[Any], Any], entities: Any) -> None:
-        self._owned.extend(lambda entity=entity: destroy(entity) for entity in list(entities))
+    def _own(self, destroy: Callable[[Any], Any], entities: Iterable[Any]) -> None:
+        self._owned.extend(partial(destroy, entity) for entity in entities)
 
     # Engine's thread
 
@@ -211,7 +205,7 @@ class GearboxNode(LifecycleNode):  # type: ignore[misc]
         if live.run.completed and not live.run.tripped:
             self._stop(live.ended)
             return
-        self.get_logger().error(f"run ended: {live.ended}; call ~/reset to recover")
+        self._log.error(f"run ended: {live.ended}; call ~/reset to recover")
         recorder = self._recordings.end() if self._recordings is not None else None
         if recorder is not None:
             recorder.close()
@@ -228,13 +222,13 @@ class GearboxNode(LifecycleNode):  # type: ignore[misc]
             changes = {node_topics.FLOAT_COMMANDS[key]: float(message.data)}
         refusal = self._mailbox.offer(key, changes, data, time.monotonic_ns())
         if refusal:
-            self.get_logger().warning(refusal, throttle_duration_sec=WARN_EVERY)
+            self._log.warning(refusal, throttle_duration_sec=WARN_EVERY)
 
     def _report_strangers(self, names: Sequence[str]) -> None:
         for name in names:
             if name not in self._strangers and len(self._strangers) < MOST_STRANGERS:
                 self._strangers.add(name)
-                self.get_logger().warning(f"~/command/joint: joint '{name}' takes no commands (said once)")
+                self._log.warning(f"~/command/joint: joint '{name}' takes no commands (said once)")
 
     # Services
 
@@ -305,8 +299,9 @@ class GearboxNode(LifecycleNode):  # type: ignore[misc]
 
     def _ignore_sim_time(self) -> None:
         if self.get_parameter("use_sim_time").value:
-            self.get_logger().info("use_sim_time is ignored: the gearbox makes time and never follows /clock")
-            self.set_parameters([Parameter("use_sim_time", Parameter.Type.BOOL, False)])
+            self._log.info("use_sim_time is ignored: the gearbox makes time and never follows /clock")
+            off = Parameter("use_sim_time", Parameter.Type.BOOL, False)
+            self.set_parameters([off])
 
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         ours = {parameter.name: parameter.value for parameter in parameters if parameter.name == FACTOR}
@@ -327,7 +322,7 @@ class GearboxNode(LifecycleNode):  # type: ignore[misc]
 
     def _report_advice(self) -> None:
         for line in advice(self.parameters):
-            self.get_logger().warning(line)
+            self._log.warning(line)
 
     def _report(self) -> None:
         live = self._live
@@ -337,7 +332,7 @@ class GearboxNode(LifecycleNode):  # type: ignore[misc]
         found = diagnostics.statuses(
             self.get_name(),
             self.get_fully_qualified_name(),
-            self._health(live, self._recordings),
+            diagnostics.health(live, self._recordings.current, self._viewer, self._factor),
             diagnostics.surface(self.parameters, live.run.engine.commands.speed),
         )
         record = Record("diagnostics", time_ns, bytes(serialize_message(diagnostics.array(found, time_ns))))
@@ -345,97 +340,3 @@ class GearboxNode(LifecycleNode):  # type: ignore[misc]
             live.post([record])
         else:
             live.run.emit([record])
-
-    def _health(self, live: Live, recordings: Recordings) -> diagnostics.Health:
-        state = "running" if live.active else "inactive"
-        state = "paused" if live.paused else state
-        recorder, viewer = recordings.current, self._viewer
-        tally = self._mailbox.tally()
-        return diagnostics.Health(
-            run=diagnostics.RunHealth(
-                "ended" if live.ended else state,
-                live.ended,
-                live.time,
-                live.run.completed and not live.run.tripped,
-            ),
-            pace=live.pace(),
-            wanted_factor=self._factor,
-            commands=diagnostics.CommandHealth(
-                tally, self._mailbox.age(time.monotonic_ns()) if tally.accepted else math.nan, live.timed_out
-            ),
-            counters=live.counters,
-            recorder=recorder and diagnostics.RecorderHealth(str(recorder.path), recorder.stats, recorder.error),
-            viewer=viewer and diagnostics.ViewerHealth(viewer.queued, viewer.dropped, viewer.error),
-        )
-
-
-def warm_up(parameters: Parameters, say: Callable[[str], object]) -> None:
-    """Compile the kernel unless that has been done; ``say`` so if it takes long."""
-    notice = threading.Timer(PATIENCE, say, ["compiling the kernel; only a first start takes this long"])
-    notice.daemon = True
-    notice.start()
-    try:
-        Engine(parameters).advance(1)
-    finally:
-        notice.cancel()
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the node until it is stopped; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="gearbox",
-        description="The virtual gearbox as a ROS 2 node. Parameters: --ros-args --params-file FILE, "
-        "--ros-args -p name:=value.",
-    )
-    signals = Signals()
-    return guarded(lambda _: _serve(argv, signals), parser, _own_arguments(argv))
-
-
-def _own_arguments(argv: Sequence[str] | None) -> list[str] | None:
-    try:
-        return remove_ros_args(None if argv is None else ["gearbox", *argv])[1:]
-    except Exception:  # what is wrong with the ROS arguments is told when they are used
-        return []
-
-
-def _serve(argv: Sequence[str] | None, signals: Signals) -> int:
-    try:
-        rclpy.init(
-            args=None if argv is None else ["gearbox", *argv], signal_handler_options=SignalHandlerOptions.NO
-        )
-    except Exception as error:  # rclpy has no common class for what it finds wrong with arguments and files
-        raise UsageError(f"ROS arguments: {_one_line(error)}") from error
-    try:
-        return _spin(signals)
-    finally:
-        rclpy.try_shutdown()
-
-
-def _spin(signals: Signals) -> int:
-    executor = SingleThreadedExecutor()
-    reasons: list[str] = []
-
-    def stop(reason: str) -> None:
-        reasons.append(reason)
-        executor.wake()
-
-    parent = Parent()
-    node = GearboxNode(stop)
-    try:
-        warm_up(node.parameters, node.get_logger().info)
-        signals.hand_to(stop)
-        executor.add_node(node)
-        if node.parameters.autostart:
-            node.bring_up()
-        while not reasons:
-            executor.spin_once(timeout_sec=SPIN)
-            if parent.gone():
-                stop("the ros2 run that started it has ended")
-        node.end(reasons[0])
-    finally:
-        node.destroy_node()
-    return 0
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())

@@ -46,14 +46,15 @@ def declare(node: Node) -> Parameters:
 def integers_to_floats(parameters: list[Parameter]) -> list[Parameter]:
     """Parameters about to be set, with floats for the integers given where a float is meant."""
     rows = specifications()
-    return [
-        Parameter(parameter.name, Parameter.Type.DOUBLE, float(parameter.value))
-        if parameter.type_ == Parameter.Type.INTEGER
-        and parameter.name in rows
-        and rows[parameter.name].type is float
-        else parameter
-        for parameter in parameters
-    ]
+    floats = {name for name, row in rows.items() if row.type is float}
+
+    def converted(parameter: Parameter) -> Parameter:
+        if parameter.type_ != Parameter.Type.INTEGER or parameter.name not in floats:
+            return parameter
+        value = float(cast(int, parameter.value))
+        return Parameter(parameter.name, Parameter.Type.DOUBLE, value)
+
+    return [converted(parameter) for parameter in parameters]
 
 
 def _plain(value: Any) -> Any:

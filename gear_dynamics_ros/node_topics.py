@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
-from typing import Any
+from typing import Any, cast
 
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -26,7 +26,7 @@ Publishers = Mapping[str, Publisher]
 
 
 class PublisherSink:
-    """Publishes what a run writes; a message on a topic without publisher, as a command received, is left out."""
+    """Publishes what a run writes, but for topics without publisher, such as the commands received."""
 
     def __init__(self, publishers: Publishers) -> None:
         self._publishers = publishers
@@ -42,7 +42,7 @@ class PublisherSink:
 
 
 def create_publishers(node: Node, *, clock: bool) -> dict[str, Publisher]:
-    """A publisher for each output, by its key in TOPICS; quality of service may be overridden by parameters."""
+    """A publisher for each output, by its key in TOPICS; parameters may override quality of service."""
     return {
         key: node.create_publisher(
             message_type(topic.type),
@@ -63,7 +63,7 @@ def create_subscriptions(node: Node, take: Callable[[str, Any, bytes], None]) ->
         return node.create_subscription(
             message_type(topic.type),
             topic.name,
-            lambda data: take(key, deserialize(topic.type, data), data),
+            lambda data: take(key, deserialize(topic.type, cast(bytes, data)), cast(bytes, data)),
             quality(topic),
             raw=True,
         )
@@ -73,7 +73,7 @@ def create_subscriptions(node: Node, take: Callable[[str, Any, bytes], None]) ->
 
 def quality(topic: Topic) -> QoSProfile:
     """Quality of service of a topic."""
-    return QoSProfile(  # type: ignore[no-untyped-call]
+    return QoSProfile(
         depth=topic.depth,
         reliability=ReliabilityPolicy.RELIABLE if topic.reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE,

@@ -16,8 +16,9 @@ class Pace(NamedTuple):
 class Pacer:
     """Deadlines of chunks at a real-time factor; the caller brings the time in ns of a monotonic clock.
 
-    A chunk is due when its last moment has passed on the wall, so that no stamp lies in the future. A chunk that
-    comes too late slips: all later deadlines move by its lateness, nothing is caught up. Factor 0 is always due.
+    A chunk is due when its last moment has passed on the wall, so that no stamp lies in the future. A chunk
+    that comes too late slips: later deadlines move by its lateness, nothing is caught up. With factor 0 each
+    is due at once.
     """
 
     def __init__(self, real_time_factor: float, now_ns: int) -> None:

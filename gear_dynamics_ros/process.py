@@ -14,15 +14,15 @@ from types import FrameType
 class Signals:
     """SIGINT, SIGTERM and SIGHUP, told on a thread of their own; all after the first are ignored.
 
-    To be made on the main thread. Until ``hand_to`` is called there is nothing to finish and a signal ends the
-    process at once, with exit code 0. Works where the shell has SIGINT ignored for a process in the background;
-    SIGHUP stays ignored under nohup.
+    To be made on the main thread. Until ``hand_to`` is called there is nothing to finish, and a signal ends
+    the process at once with exit code 0. Works where the shell has SIGINT ignored for a process in the
+    background; SIGHUP stays ignored under nohup.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._stop: Callable[[str], None] | None = None
-        # Python's handlers run on the main thread once it leaves rclpy's wait; the wakeup socket gets the signal
+        # Python's handlers wait until the main thread leaves rclpy's wait; the wakeup socket has the signal
         # at once, whichever thread the system gave it to.
         self._receiver, self._sender = socket.socketpair()
         self._sender.setblocking(False)

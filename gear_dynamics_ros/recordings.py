@@ -15,7 +15,7 @@ from gear_dynamics_ros.signals import Chunk
 
 
 class RecorderSink:
-    """A recorder in a run that goes on without it: what it can't write it counts, and its ``error`` says why."""
+    """A recorder in a run that goes on without it: what it can't write it counts; ``error`` says why."""
 
     def __init__(self, recorder: Recorder) -> None:
         self.recorder = recorder
@@ -28,7 +28,7 @@ class RecorderSink:
 
 
 class Recordings:
-    """Starts and ends recordings of ``run``; the first at ``path``, which must not exist, later ones beside it."""
+    """Starts and ends recordings of ``run``; the first at ``path``, later ones beside it."""
 
     def __init__(self, path: str, run: Run, parameters: Parameters, epoch_ns: int, node: str) -> None:
         self._path = Path(path) if path else None
@@ -49,9 +49,10 @@ class Recordings:
         return self._sink.recorder if self._sink is not None else None
 
     def begin(self, *, beside: bool) -> str:
-        """Record from the next sample on; returns where. ``beside``: under the first free name path_2, path_3, ...
+        """Record from the next sample on; returns where.
 
-        Raises UsageError if the path exists or can't be made, GearboxError if there is none or a recording runs.
+        ``beside`` takes the first free of path, path_2, path_3, ... Raises UsageError if the path exists or
+        can't be made, GearboxError if there is none or a recording runs.
         """
         if self._path is None:
             raise GearboxError("recording.path is empty: start the node with a path to record to")

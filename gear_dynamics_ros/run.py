@@ -91,8 +91,8 @@ class Run:
     def step(self, commands: Commands | None = None, received: Sequence[tuple[str, bytes]] = ()) -> Chunk:
         """The next chunk, with ``commands`` in force from its first sample on; at the end a shorter one.
 
-        ``received`` are the messages (key in TOPICS, CDR) behind ``commands``, written as they came before the
-        change they caused. Raises GearboxError if the run has ended.
+        ``received`` are the messages (key in TOPICS, CDR) behind ``commands``; they are written as they came,
+        before the change they caused. Raises GearboxError if the run has ended.
         """
         if self._end:
             raise GearboxError(f"the run has ended ({self._end}); reset it to go on")
@@ -194,6 +194,6 @@ def advice(parameters: Parameters) -> list[str]:
     acceleration = surplus / (gears.driving.inertia + gears.driven.inertia * ratio**2)
     return [
         f"operation.drive_torque = {operation.drive_torque:g} N m does not balance the load of "
-        f"{load * ratio:g} N m at the driving shaft: the speed changes by {acceleration:.4g} rad/s^2 from the "
-        "start; balance them or set operation.control: speed"
+        f"{load * ratio:g} N m at the driving shaft: the speed changes by {acceleration:.4g} rad/s^2; "
+        "balance them or set operation.control: speed"
     ]

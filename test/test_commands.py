@@ -1,0 +1,54 @@
+"""Commands between their sender and the next chunk edge."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from gear_dynamics_ros.commands import Mailbox, joint_changes
+from gear_dynamics_ros.parameters import Parameters
+
+
+@pytest.fixture
+def mailbox():
+    return Mailbox(Parameters(), 0)
+
+
+def test_of_several_the_last_counts_and_each_is_handed_over_once(mailbox):
+    mailbox.offer("speed_command", {"speed": 1.0}, b"a", 5)
+    mailbox.offer("load_torque_command", {"load_torque": 2.0}, b"b", 6)
+    mailbox.offer("speed_command", {"speed": 3.0}, b"c", 7)
+    delivery = mailbox.take(10)
+    assert delivery.changes == {"speed": 3.0, "load_torque": 2.0}
+    assert delivery.received == [
+        ("speed_command", b"a"),
+        ("load_torque_command", b"b"),
+        ("speed_command", b"c"),
+    ]
+    assert delivery.age_ns == 3
+    assert mailbox.take(11) == ({}, [], 4)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"speed": math.nan},
+        {"speed": -5000.1},
+        {"drive_torque": math.inf},
+        {"load_torque": 1e7},
+        {"speed": 10.0, "drive_torque": -math.inf},
+    ],
+)
+def test_what_cannot_be_is_refused_as_a_whole(mailbox, changes):
+    assert "refused" in mailbox.offer("joint_command", changes, b"", 5)
+    assert mailbox.take(6) == ({}, [], 6)
+    assert mailbox.tally()[:2] == (0, 1)
+
+
+def test_a_joint_command_names_what_it_changes():
+    names = ["l_driven", "l_driving", "driving"]
+    wanted, unknown = joint_changes("l_", names, [1.0, 2.0, 3.0], [4.0, 5.0, 6.0])
+    assert wanted == {"speed": 2.0, "drive_torque": 5.0, "load_torque": 4.0}
+    assert unknown == ["driving"]
+    assert joint_changes("", ["driving", "driven"], [], [math.nan])[0] == {}
