@@ -148,6 +148,13 @@ class Result(NamedTuple):
             return False
         return all(self.expectation.minimum <= value <= self.expectation.maximum for value in self.values)
 
+    @property
+    def status(self) -> str:
+        """``pass``, ``FAIL``, or ``open`` while the window is not over."""
+        if not self.complete:
+            return "open"
+        return "pass" if self.passed else "FAIL"
+
     def measured(self) -> str:
         """The measured values as text."""
         return " to ".join(f"{value:.6g}" for value in self.values) if self.values else "-"
@@ -495,7 +502,7 @@ def format_results(results: Sequence[Result]) -> str:
     """A table of the results, one line each, aligned."""
     rows = [
         (
-            "pass" if result.passed else "FAIL",
+            result.status,
             result.expectation.name,
             f"{result.expectation.start:g} to {result.expectation.end:g} s",
             result.expectation.describe(),

@@ -290,6 +290,7 @@ def test_an_unfinished_window_has_not_passed() -> None:
     assert not midway.passed
     assert midway.missing == 0
     assert "was not reached" in midway.reason()
+    assert format_results([midway]).splitlines()[1].startswith("open")
 
 
 def test_time_that_runs_back_is_an_error() -> None:
