@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections import deque
@@ -163,6 +164,8 @@ class Live:
             except Exception as error:
                 # The node must stay to tell; a reset may recover.
                 self._failure = str(error) or repr(error)
+                with contextlib.suppress(Exception):  # the sink that failed may fail again
+                    self.run.finish(self._failure)
                 self._on_end()
 
     def _wait(self) -> bool:

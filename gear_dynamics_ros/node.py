@@ -25,6 +25,7 @@ from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.live import Live, warm_up
 from gear_dynamics_ros.messages import Encoder, Record, message_class, serialize, stamp
 from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.recordings import Recordings
 from gear_dynamics_ros.run import PAUSE, RESUME, Run, ViewerSink, advice
 from gear_dynamics_ros.signals import Chunk
@@ -63,6 +64,7 @@ class GearboxNode(LifecycleNode):
         self._live: Live | None = None
         self._recordings: Recordings | None = None
         self._recorded_before = False
+        self._told_error: str | None = None
         self._epoch_ns = 0
         self._next_clock_ns = 0
 
@@ -79,7 +81,7 @@ class GearboxNode(LifecycleNode):
         """Finish everything; the node is of no use afterwards."""
         self._log.info(f"ending: {reason}")
         self._release(reason)
-        self.trigger_shutdown()  # type: ignore[no-untyped-call]
+        self._log.info("finished")
 
     # Transitions
 
@@ -320,6 +322,12 @@ class GearboxNode(LifecycleNode):
 
     # Diagnostics
 
+    def _tell_recorder_error(self, recorder: Recorder | None) -> None:
+        error = None if recorder is None else recorder.error
+        if error is not None and error != self._told_error:
+            self._log.error(error)
+        self._told_error = error
+
     def _report_advice(self) -> None:
         for line in advice(self.parameters):
             self._log.warning(line)
@@ -328,6 +336,7 @@ class GearboxNode(LifecycleNode):
         live = self._live
         if live is None or self._recordings is None:
             return
+        self._tell_recorder_error(self._recordings.current)
         time_ns = self._epoch_ns + round(live.time * 1e9)
         found = diagnostics.statuses(
             self.get_name(),

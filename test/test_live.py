@@ -34,7 +34,7 @@ class Watcher:
 
     def until(self, condition):
         with self.changed:
-            assert self.changed.wait_for(lambda: self.chunks and condition(self.chunks[-1]), 30.0)
+            assert self.changed.wait_for(lambda: self.chunks and condition(self.chunks[-1]), 120.0)
 
 
 @pytest.fixture
@@ -91,7 +91,7 @@ def test_a_sink_that_fails_ends_the_run_with_its_reason(start):
             pass
 
     live.call(lambda: live.run.attach(Broken()))
-    assert ended.wait(30.0)
+    assert ended.wait(120.0)
     assert "out of paper" in live.ended
 
 

@@ -22,7 +22,7 @@ def test_a_node_whose_ros2_run_was_terminated_finishes_its_recording(ros_domain,
     parent.wait_for("recording to")
     parent.signal(signal.SIGTERM)
     parent.wait_for("the ros2 run that started it has ended")
-    deadline = time.monotonic() + 30.0
+    deadline = time.monotonic() + 60.0
     while not (bag / "metadata.yaml").exists():
         assert time.monotonic() < deadline
         time.sleep(0.05)
