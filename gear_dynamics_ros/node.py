@@ -79,9 +79,9 @@ class GearboxNode(LifecycleNode):
 
     def end(self, reason: str) -> None:
         """Finish everything; the node is of no use afterwards."""
-        self._log.info(f"ending: {reason}")
+        if self._live is not None:
+            self._log.info(f"ending: {reason}")
         self._release(reason)
-        self._log.info("finished")
 
     # Transitions
 
@@ -108,7 +108,8 @@ class GearboxNode(LifecycleNode):
             act()
         except GearboxError as error:
             self.failure = error
-            self._log.error(str(error))
+            if self._tell_failure:
+                self._log.error(str(error))
             if self._live is None:
                 self._release("failed")
             return TransitionCallbackReturn.FAILURE

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import rclpy
+from rclpy.exceptions import NameValidationException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args, try_shutdown
@@ -60,7 +61,7 @@ def _spin(signals: Signals) -> int:
         executor.wake()
 
     parent = Parent()
-    node = GearboxNode(stop)
+    node = _node(stop)
     try:
         log: Any = node.get_logger()  # type: ignore[no-untyped-call]
         warm_up(node.parameters, log.info)
@@ -72,10 +73,18 @@ def _spin(signals: Signals) -> int:
             executor.spin_once(timeout_sec=SPIN)
             if parent.gone():
                 stop("the ros2 run that started it has ended")
-        node.end(reasons[0])
     finally:
+        node.end(reasons[0] if reasons else "failed")
         node.destroy_node()  # type: ignore[no-untyped-call]
     return 0
+
+
+def _node(stop: Callable[[str], None]) -> GearboxNode:
+    try:
+        return GearboxNode(stop)
+    except (ValueError, RuntimeError, NameValidationException) as error:
+        remedy = "an array must have an entry, a name must be one of ROS"
+        raise UsageError(f"ROS arguments: {_one_line(error)}: {remedy}") from error
 
 
 def _one_line(error: Exception) -> str:
