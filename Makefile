@@ -38,8 +38,9 @@ clean:
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(INSTALLED): setup.py setup.cfg pyproject.toml constraints.txt
-	@test -n "$(PYTHON)" || { \
-		echo "make: no Python 3.11 to 3.13 found; install one, or name it: make PYTHON=/path/to/python3.12" >&2; exit 1; }
+	@test -n "$(PYTHON)" && $(PYTHON) -c "$(SUITABLE)" 2>/dev/null || { \
+		echo "make: no Python 3.11 to 3.13 at '$(PYTHON)'; install one, or name it: make PYTHON=/path/to/python3.12" >&2; \
+		exit 1; }
 	@test -x $(BIN)/python || { echo "== Creating $(VENV) with $$($(PYTHON) --version)"; $(PYTHON) -m venv $(VENV); } || { \
 		rm -rf $(VENV); \
 		echo "make: $(PYTHON) can't create a venv; on Debian and Ubuntu: apt-get install python3-venv" >&2; exit 1; }
