@@ -81,7 +81,7 @@ GAP_TOLERANCE = 1e-10
 CLAMP_TOLERANCE = 1e-7
 SEARCH_LIMIT = 30
 STOPS_PER_STEP = 24
-# Of what is left of the step, for the first substep after a bearing gap: delta^1.5 is not smooth there.
+# Of what is left of the step, for the first substep of a bearing contact: delta^1.5 is not smooth there.
 ONSET_FRACTION = 0.1
 # The largest product of substep and damping rate of a bearing contact; RK4 itself bears 2.78.
 STIFFNESS_LIMIT = 0.25
@@ -762,9 +762,8 @@ def settle(
         following = -1
         for other in range(EVENT_COUNT):
             value, change = points[HERE, VALUE + other], points[HERE, RATE + other]
-            # A gap that this step has just flipped may still be a rounding error short of its surface.
-            past = (value <= 0.0 and change < 0.0) or (value < 0.0 and change == 0.0)
-            if past and not (flipped >> other) & 1:
+            # What an earlier stop of this step flipped may still be short of its surface, on its way there.
+            if value <= 0.0 and change < 0.0 and not (flipped >> other) & 1:
                 following = other
                 break
         if following < 0:
@@ -860,6 +859,7 @@ def split_step(
     phase = states[HERE, NOMINAL_TURN]
     done, h, stops = 0.0, longest, 0
     tried = True
+    contacts = flags[CONTACT] + flags[CONTACT + 1]
     while True:
         if not tried:
             lag_end = try_step(
@@ -890,6 +890,7 @@ def split_step(
                 stops += 1
             if stops == STOPS_PER_STEP:
                 flags[CAPPED] += 1
+        note_clamp_rates(points, h)
         accept(states, points, excs)
         done += h
         phase += h * speed * TURNS_PER_RADIAN
@@ -899,7 +900,9 @@ def split_step(
         if h <= SHORTEST_SUBSTEP * step:
             break
         h = min(h, longest)
-        if event == BEARING_GAP or event == BEARING_GAP + 1:
+        begun = flags[CONTACT] + flags[CONTACT + 1] > contacts
+        contacts = flags[CONTACT] + flags[CONTACT + 1]
+        if begun:
             h *= ONSET_FRACTION
     if stops >= STOPS_PER_STEP:
         late = -1
@@ -926,6 +929,13 @@ def longest_substep(constants: np.record, points: Floats, flags: Flags) -> float
             flags[CAPPED] += 1
             break
     return step / substeps
+
+
+@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+def note_clamp_rates(points: Floats, h: float) -> None:
+    """The clamps' mean rates over the substep, in place of the rates that would need accelerations."""
+    for event in (MESH_CLAMP, BEARING_CLAMP, BEARING_CLAMP + 1):
+        points[END, RATE + event] = (points[END, VALUE + event] - points[HERE, VALUE + event]) / h
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
