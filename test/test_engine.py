@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.physics import kernel
 from gear_dynamics_ros.signals import CHANNELS, Commands, Status
 
 SAMPLES = 600
@@ -225,3 +226,32 @@ def test_engine_needs_neither_ros_nor_rerun_nor_matplotlib() -> None:
     blocked = "import sys; sys.modules.update(dict.fromkeys(['rclpy', 'rerun', 'matplotlib']));"
     code = f"{blocked} import gear_dynamics_ros.engine, gear_dynamics_ros.recording, gear_dynamics_ros.replay"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.fixture
+def pressed() -> dict[str, Any]:
+    """A state in which both bearings are pressed in deep, in contacts that began as slowly as can be."""
+    checkpoint = Engine(parameters(model="compared", operation__speed=200.0)).checkpoint()
+    state, flags = checkpoint["state"], checkpoint["flags"]
+    depth = parameters().bearings.driving.clearance + 3e-6
+    state[kernel.Y1], state[kernel.Y2] = -depth, depth
+    # The line of centres turns by 2 depth / a_s; keep the teeth 1 um apart all the same.
+    state[kernel.U] += 2.0 * depth * math.cos(parameters().gears.pressure_angle) - 1e-6
+    flags[kernel.FLANK] = 0
+    for gear in range(2):
+        flags[kernel.CONTACT + gear] = 1
+        state[kernel.IMPACT_SPEED + gear] = 1e-3
+    return checkpoint
+
+
+def test_a_slowly_begun_contact_pressed_in_later_stays_exact(pressed: dict[str, Any]) -> None:
+    """Its damping rate, a k_h delta^1.5 / (m v_impact), is several times what RK4 bears in one step."""
+    runs = []
+    for step in (1e-6, 0.125e-6):
+        engine = Engine(parameters(model="compared", operation__speed=200.0, solver__step=step))
+        engine.restore(pressed)
+        chunk = engine.advance(100)
+        assert chunk.status is Status.RUNNING
+        runs.append(np.hypot(chunk["driving_contact_force_x"], chunk["driving_contact_force_y"]))
+    assert runs[1].max() > 1000.0
+    np.testing.assert_allclose(runs[0], runs[1], atol=1.0)
