@@ -1,9 +1,11 @@
 """Every compiled function of the model and of its integrator.
 
 One file on purpose: numba's cache looks at the file of the outermost function only. Symbols and equation
-numbers are those of docs/model.md and of the paper; all values are SI. A hot function returns a status, never
-raises. Arrays passed around: ``y`` the state (STATE_SIZE), ``flags`` the discrete state (FLAGS_SIZE),
-``point`` everything evaluated at one state (POINT_SIZE).
+numbers are the paper's; all values are SI. A hot function returns a status, never raises.
+
+Arrays passed around, the first three with a row each for HERE, END, ... of a step:
+``states`` (integrated and latched values), ``points`` (everything evaluated at one state), ``excs`` (periodic
+excitations at one phase); ``flags`` the discrete state; ``waves`` and ``amplitudes`` the excitation table.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ Bearing = tuple[float, float, float, float, float, float, float, float, float, f
 TWO_PI = 2.0 * math.pi
 TURNS_PER_RADIAN = 1.0 / TWO_PI
 
-# State y. The first twelve are integrated; the rest changes at samples or at events.
+# State. The first twelve are integrated; the rest changes at samples or at events.
 X1, Y1, X2, Y2, U, THETA1, VX1, VY1, VX2, VY2, OMEGA1, OMEGA2 = range(12)
 MECHANICAL = 12
 MESH_IMPULSE = 12  # N s, integral of F_p
