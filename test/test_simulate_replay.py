@@ -15,6 +15,7 @@ from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.messages import Encoder
 from gear_dynamics_ros.parameters import Parameters, load
 from gear_dynamics_ros.recording.writer import Recorder
+from gear_dynamics_ros.recordings import RecorderSink
 from gear_dynamics_ros.run import Run
 from gear_dynamics_ros.signals import Commands
 
@@ -49,22 +50,11 @@ def test_info_tells_what_is_there(bag: Path, capsys: pytest.CaptureFixture[str])
     assert "complete" in shown and "2000 samples" in shown and "/gearbox/waveform" in shown
 
 
-class _Into:
-    def __init__(self, recorder: Recorder) -> None:
-        self.recorder = recorder
-
-    def write(self, _: object, records: list) -> None:  # type: ignore[type-arg]
-        self.recorder.write(records)
-
-    def close(self) -> None:
-        self.recorder.close()
-
-
 def commanded(path: Path, parameters: Parameters, recorded_as: Parameters | None = None) -> Path:
     """A run with commands and a reset; the recording may claim other parameters than it was made with."""
     engine = Engine(parameters)
     recorder = Recorder(path, recorded_as or parameters, engine.checkpoint(), 1_000_000_000)
-    run = Run(engine, Encoder(parameters, 1_000_000_000), [_Into(recorder)])
+    run = Run(engine, Encoder(parameters, 1_000_000_000), [RecorderSink(recorder)])
     run.step()
     run.step(Commands(30.0, 55.0, 1700.0))
     run.step()

@@ -15,6 +15,7 @@ from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages import Encoder, Record
 from gear_dynamics_ros.parameters import Parameters, load
 from gear_dynamics_ros.recording.writer import Recorder
+from gear_dynamics_ros.recordings import RecorderSink
 from gear_dynamics_ros.resources import share_file
 from gear_dynamics_ros.run import Run
 from gear_dynamics_ros.signals import Chunk
@@ -22,23 +23,22 @@ from gear_dynamics_ros.signals import Chunk
 EPOCH_NS = 0  # simulated time is all the time there is
 
 
-class RecorderSink:
-    """A recorder in a run without a node: what it can't write ends the run."""
+class StrictRecorderSink(RecorderSink):
+    """A recorder without which there is no point in going on: what it can't write ends the run."""
 
-    def __init__(self, recorder: Recorder) -> None:
-        self._recorder = recorder
-
-    def write(self, _: Chunk | None, records: Sequence[Record]) -> None:
+    def write(self, chunk: Chunk | None, records: Sequence[Record]) -> None:
         """Record the messages. Raises GearboxError once recording has failed."""
-        if self._recorder.error is not None:
-            raise GearboxError(self._recorder.error)
-        self._recorder.write(records)
+        self._check()
+        super().write(chunk, records)
 
     def close(self) -> None:
         """Finish the recording. Raises GearboxError if that failed."""
-        self._recorder.close()
-        if self._recorder.error is not None:
-            raise GearboxError(self._recorder.error)
+        super().close()
+        self._check()
+
+    def _check(self) -> None:
+        if self.recorder.error is not None:
+            raise GearboxError(self.recorder.error)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -67,7 +67,7 @@ def simulate(arguments: argparse.Namespace) -> int:
     duration = checked_duration(arguments.duration, parameters)
     engine = Engine(parameters)
     recorder = Recorder(arguments.output, parameters, engine.checkpoint(), EPOCH_NS)
-    run = Run(engine, Encoder(parameters, EPOCH_NS), [RecorderSink(recorder)], duration=duration)
+    run = Run(engine, Encoder(parameters, EPOCH_NS), [StrictRecorderSink(recorder)], duration=duration)
     interval = parameters.solver.sample_interval_ns / 1e9
     try:
         run.step()  # compiles, which is not part of the pace told below
