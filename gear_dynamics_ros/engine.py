@@ -13,7 +13,7 @@ from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics import derived, kernel
 from gear_dynamics_ros.signals import CHANNELS, Chunk, Commands, Counters, Status
 
-CHECKPOINT_FORMAT = 1
+CHECKPOINT_FORMAT = 2
 
 
 def kernel_hash() -> str:
@@ -26,8 +26,8 @@ class Engine:
 
     def __init__(self, parameters: Parameters) -> None:
         self.parameters = parameters
-        self._constants = derived.constants(parameters)
         self._excitations = derived.excitations(parameters)
+        self._constants = derived.constants(parameters, self._excitations)
         self._interval_ns = parameters.solver.sample_interval_ns
         self.sample = 0
         self.reset()
@@ -37,23 +37,24 @@ class Engine:
         operation = self.parameters.operation
         self.commands = Commands(operation.drive_torque, operation.load_torque, operation.speed)
         self.status = Status.RUNNING
-        self._y = np.zeros(kernel.STATE_SIZE)
-        self._flags = np.zeros(kernel.FLAGS_SIZE, dtype=np.int64)
+        self._points = np.zeros(3, dtype=kernel.POINT)
+        self._state = np.zeros(1, dtype=kernel.STATE)
+        state = self._state
         if operation.initial == "touching":
-            self._y[kernel.OMEGA1] = operation.speed
-            self._y[kernel.OMEGA2] = (
-                operation.speed * self._constants.base_radius1 / self._constants.base_radius2
-            )
-        self._y[kernel.DRIVE_TORQUE] = operation.drive_torque
-        self._y[kernel.GOVERNOR] = operation.drive_torque
-        self._y[kernel.IMPACT_SPEED : kernel.IMPACT_SPEED + 2] = self._constants.minimum_impact_speed
-        kernel.touch(self._constants, self._kernel_commands(), *self._excitations, self._y, self._flags)
+            r1, r2 = self._constants["base_radius"][0]
+            state["omega"] = operation.speed, operation.speed * r1 / r2
+        state["drive_torque"] = operation.drive_torque
+        state["governor"] = operation.drive_torque
+        state["impact_speed"] = self._constants["minimum_impact_speed"]
+        self.command(self.commands)
+        kernel.touch(self._constants, state, self._points, *self._excitations)
 
     def command(self, commands: Commands) -> None:
         """Put ``commands`` in force from the next sample on."""
         self.commands = commands
-        if not self._constants.governed:
-            self._y[kernel.DRIVE_TORQUE] = commands.drive_torque
+        self._state["speed"], self._state["load_torque"] = commands.speed, commands.load_torque
+        if not self._constants["governed"]:
+            self._state["drive_torque"] = commands.drive_torque
 
     def advance(self, samples: int | None = None) -> Chunk:
         """The next ``samples`` samples (default: a chunk); fewer if the run ends in them.
@@ -65,17 +66,20 @@ class Engine:
         count = self.parameters.solver.samples_per_chunk if samples is None else samples
         rows = np.empty((count, len(CHANNELS)))
         angles = np.empty((count, 2))
+        energies = np.empty((0, 9))
+        impacts = np.empty((4096, 6))
         first = self.sample
         written, status = kernel.run(
             self._constants,
-            self._kernel_commands(),
+            self._state,
+            self._points,
             *self._excitations,
-            self._y,
-            self._flags,
             first,
             self._interval_ns,
             rows,
             angles,
+            energies,
+            impacts,
         )
         self.sample = first + written
         self.status = Status(status)
@@ -85,7 +89,7 @@ class Engine:
             samples=rows[:written],
             angles=angles[:written],
             commands=self.commands,
-            counters=Counters(*(int(self._flags[i]) for i in _COUNTED)),
+            counters=Counters(*(int(self._state[name][0]) for name in Counters._fields)),
             status=self.status,
             message=self._reason(),
         )
@@ -97,34 +101,32 @@ class Engine:
             "sample": self.sample,
             "status": int(self.status),
             "commands": self.commands._asdict(),
-            "state": self._y.tolist(),
-            "flags": self._flags.tolist(),
+            "state": {name: self._state[name][0].tolist() for name in _STATE_NAMES},
         }
 
     def restore(self, checkpoint: dict[str, Any]) -> None:
         """Go on from ``checkpoint``. Raises GearboxError, changing nothing, if it can't be one."""
         try:
             form = checkpoint["format"]
-            y = np.array(checkpoint["state"], dtype=np.float64)
-            flags = np.array(checkpoint["flags"], dtype=np.int64)
+            if form != CHECKPOINT_FORMAT:
+                raise GearboxError(
+                    f"the checkpoint has format {form}, this version reads {CHECKPOINT_FORMAT}: "
+                    "use the version that wrote it"
+                )
+            state = np.zeros(1, dtype=kernel.STATE)
+            for name in _STATE_NAMES:
+                state[name] = checkpoint["state"][name]
             commands = Commands(**checkpoint["commands"])
             sample, status = int(checkpoint["sample"]), Status(checkpoint["status"])
         except (KeyError, TypeError, ValueError) as error:
             raise GearboxError(f"the checkpoint lacks or spoils an entry: {error!r}") from error
-        if form != CHECKPOINT_FORMAT or y.shape != self._y.shape or flags.shape != self._flags.shape:
-            raise GearboxError(
-                f"the checkpoint has format {form}, this version reads {CHECKPOINT_FORMAT}: "
-                "use the version that wrote it"
-            )
-        self._y, self._flags, self.commands = y, flags, commands
+        self._state = state
         self.sample, self.status = sample, status
-
-    def _kernel_commands(self) -> tuple[float, float]:
-        return (self.commands.speed, self.commands.load_torque)
+        self.commands = commands
 
     def _reason(self) -> str:
         if self.status is Status.OVER_SPEED:
-            fastest = max(abs(self._y[kernel.OMEGA1]), abs(self._y[kernel.OMEGA2]))
+            fastest = np.abs(self._state["omega"]).max()
             limit = self.parameters.operation.speed_limit
             return f"over-speed: {fastest:.6g} rad/s exceeds operation.speed_limit = {limit:g} rad/s"
         if self.status is Status.NON_FINITE:
@@ -139,4 +141,4 @@ class Engine:
         return ""
 
 
-_COUNTED = (kernel.STEPS, kernel.EVENTS, kernel.CAPPED, kernel.IMPACTS, kernel.FLANK_CHANGES)
+_STATE_NAMES = kernel.STATE.names or ()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +17,13 @@ from gear_dynamics_ros.physics.surface import Surface, fractal_surface
 class Excitations(NamedTuple):
     """Every periodic excitation as one trigonometric series over the hunting cycle.
 
-    ``orders`` (n,) waves per cycle; ``amplitudes`` (2, n, EXCITATIONS), of cosines and of sines: surface
-    height z1 + z2, its first and second derivative by the mesh phase, stiffness modulation and slope, static
-    error with two derivatives; m and rad, stiffness dimensionless. n is a whole number of vector blocks.
+    ``orders`` waves per cycle, zeros to a whole number of blocks of lanes; ``amplitudes`` (m * 2 * EXCITATIONS,)
+    of an even number m of waves, of the cosine and then of the sine of each: surface height z1 + z2, its first
+    and second derivative by the mesh phase, stiffness modulation and slope, static error with two derivatives;
+    m and rad, stiffness dimensionless.
     """
 
-    orders: NDArray[np.float64]
+    waves: NDArray[np.float64]
     amplitudes: NDArray[np.float64]
 
 
@@ -51,19 +52,31 @@ def mesh_damping(parameters: Parameters) -> float:
     )
 
 
-def involute_series(tan2: float) -> tuple[float, ...]:
-    """Coefficients of inv alpha - inv alpha0 in xi^1.. where tan^2 alpha = ``tan2`` + xi.
+def involute_series(tan2: float) -> list[float]:
+    """Coefficients in xi^0.. of inv alpha - inv alpha0, tan, cos and sin of alpha, tan^2 alpha = ``tan2`` + xi.
 
-    With w = tan alpha, d(w - atan w)/dxi = w / (2 (1 + w^2)); both factors have binomial series.
+    The four of one power stand side by side. With w = tan alpha, d(w - atan w)/dxi = w / (2 (1 + w^2)); all
+    factors have binomial series.
     """
     terms = kernel.SERIES_TERMS
-    root, inverse = [math.sqrt(tan2)], [1.0 / (1.0 + tan2)]
+    tangent, cosine, square = [math.sqrt(tan2)], [1.0 / math.sqrt(1.0 + tan2)], [1.0 / (1.0 + tan2)]
     for k in range(1, terms):
-        root.append(root[-1] * (1.5 - k) / (k * tan2))
-        inverse.append(-inverse[-1] / (1.0 + tan2))
-    return tuple(
-        math.fsum(root[i] * inverse[k - i] for i in range(k + 1)) / (2.0 * (k + 1)) for k in range(terms)
-    )
+        tangent.append(tangent[-1] * (1.5 - k) / (k * tan2))
+        cosine.append(-cosine[-1] * (k - 0.5) / (k * (1.0 + tan2)))
+        square.append(-square[-1] / (1.0 + tan2))
+    involute = [0.0, *(value / (2.0 * k) for k, value in enumerate(_product(tangent, square), start=1))]
+    return [
+        value
+        for power in zip(involute, tangent, cosine, _product(tangent, cosine), strict=False)
+        for value in power
+    ]
+
+
+def _product(left: list[float], right: list[float]) -> list[float]:
+    """Coefficients of the product of two power series, as many as each has."""
+    return [
+        math.fsum(left[i] * right[k - i] for i in range(k + 1)) for k in range(len(left))
+    ]
 
 
 def surfaces(parameters: Parameters) -> tuple[Surface, Surface]:
@@ -113,16 +126,15 @@ def excitations(parameters: Parameters) -> Excitations:
             add(h * teeth * turns, column, derivatives, 0.0, sine)
 
     orders = sorted(rows)
-    count = -(-len(orders) // kernel.ROW_BLOCK) * kernel.ROW_BLOCK
-    padded = np.zeros(count)
-    padded[: len(orders)] = orders
-    amplitudes = np.zeros((2, count, kernel.EXCITATIONS))
+    waves = np.zeros((kernel.WAVE_ROWS, -(-len(orders) // kernel.ROW_BLOCK) * kernel.ROW_BLOCK))
+    waves[kernel.ORDER, : len(orders)] = orders
+    amplitudes = np.zeros((len(orders) + len(orders) % 2, 2, kernel.EXCITATIONS))
     for index, order in enumerate(orders):
-        amplitudes[:, index] = rows[order]
-    return Excitations(padded, amplitudes)
+        amplitudes[index] = rows[order]
+    return Excitations(waves, amplitudes)
 
 
-def constants(parameters: Parameters) -> np.record:
+def constants(parameters: Parameters, table: Excitations) -> NDArray[Any]:
     """The kernel's constants; every derived number of the model is computed here."""
     gears, mesh, operation = parameters.gears, parameters.mesh, parameters.operation
     r1, r2 = base_radii(parameters)
@@ -138,9 +150,8 @@ def constants(parameters: Parameters) -> np.record:
         brake=operation.load_law == "brake",
         governed=operation.control == "speed",
         centre_distance=0.5 * gears.module * (gears.driving.teeth + gears.driven.teeth),
-        base_radius1=r1,
-        base_radius2=r2,
-        per_radii2=1.0 / (r1 + r2) ** 2,
+        base_radius=(r1, r2),
+        per_radii=1.0 / (r1 + r2),
         tan2_alpha0=tan_alpha0**2,
         involute_alpha0=tan_alpha0 - math.atan(tan_alpha0),
         involute_series=involute_series(tan_alpha0**2),
@@ -148,11 +159,11 @@ def constants(parameters: Parameters) -> np.record:
         stiffness=mesh.stiffness,
         damping=mesh_damping(parameters),
         error_mean=mesh.error_mean,
-        per_mass1=1.0 / gears.driving.mass,
-        per_mass2=1.0 / gears.driven.mass,
-        per_inertia1=1.0 / gears.driving.inertia,
-        per_inertia2=1.0 / gears.driven.inertia,
+        per_mass=(1.0 / gears.driving.mass, 1.0 / gears.driven.mass),
+        per_inertia=(1.0 / gears.driving.inertia, 1.0 / gears.driven.inertia),
         teeth1=float(gears.driving.teeth),
+        padded_waves=table.waves.shape[1],
+        waves=table.amplitudes.shape[0],
         hunting=hunting_turns(parameters),
         clearance=[bearing.clearance for bearing in both],
         kelvin_stiffness=[bearing.kelvin_stiffness for bearing in both],
@@ -171,11 +182,10 @@ def constants(parameters: Parameters) -> np.record:
         step=parameters.solver.step,
         steps_per_sample=parameters.solver.steps_per_sample,
     )
-    record = np.zeros(1, dtype=kernel.CONSTANTS).view(np.recarray)
+    record = np.zeros(1, dtype=kernel.CONSTANTS)
     for name in kernel.CONSTANTS.names or ():
         record[name] = values[name]
-    constants: np.record = record[0]
-    return constants
+    return record
 
 
 def hertz_factor(parameters: Parameters, length: float) -> float:

@@ -3,84 +3,82 @@
 One file on purpose: numba's cache looks at the file of the outermost function only. Symbols and equation
 numbers are the paper's; all values are SI. A hot function returns a status, never raises.
 
-Arrays passed around, the first three with a row each for HERE, END, ... of a step:
-``states`` (integrated and latched values), ``points`` (everything evaluated at one state), ``excs`` (periodic
-excitations at one phase); ``flags`` the discrete state; ``waves`` and ``amplitudes`` the excitation table.
+What belongs to both gears is computed side by side: a ``Pair`` has gear 1 in its first lane and gear 2 in its
+second. Four records are passed around, by reference:
+
+``constants``  derived from the parameters, never written to;
+``state``      everything that decides the future: motion, flags, latched values, commands in force, totals;
+``points``     points of the trajectory with all that was evaluated there: HERE, END of the trial step, LOW end
+               of a search;
+``waves``      the periodic excitations' sines and cosines, with ``amplitudes`` their table.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from gear_dynamics_ros.physics.lanes import (
+    absolute,
+    any_negative,
+    arctangent_of,
+    at_least,
+    both,
+    copy,
+    load2,
+    load4,
+    load8,
+    pointer,
+    square_root,
+    store,
+)
+
+# numba's cache knows nothing of lanes.py: after a change of it, this line changes too. A test compares.
+LANES_SHA256 = ""
+
 Floats = NDArray[np.float64]
-Flags = NDArray[np.int64]
-Rates = tuple[float, float, float, float, float, float]
-Mesh = tuple[float, float, float, float, float]
-Bearing = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
+Pair = Any  # two lanes, one a gear
+Octet = Any  # eight lanes
+Pointer = Any  # to float64 that an array of the caller's keeps
 
 TWO_PI = 2.0 * math.pi
 TURNS_PER_RADIAN = 1.0 / TWO_PI
+TINY = 1e-150  # m, m/s, ...: keeps 1/x finite where x is zero, and its square too
 
-# State. The first twelve are integrated; the rest changes at samples or at events.
-X1, Y1, X2, Y2, U, THETA1, VX1, VY1, VX2, VY2, OMEGA1, OMEGA2 = range(12)
-MECHANICAL = 12
-MESH_IMPULSE = 12  # N s, integral of F_p
-IMPACT_SPEED = 13  # and 14: latched impact speed of each bearing, m/s
-NOMINAL_TURN = 15  # nominal angle of gear 1 in turns, 0 to 1
-NOMINAL_REST = 16  # what rounding took from it
-GOVERNOR = 17  # integral part of the governor's torque, N m
-DRIVE_TORQUE = 18  # torque applied, held over a sample interval, N m
-STATE_SIZE = 19
-
-# Discrete state.
-FLANK = 0  # 1 drive flank, 0 apart, -1 back flank
-MESH_CLAMPED = 1  # the mesh would pull: force held at zero
-CONTACT = 2  # and 3: bearing in contact
-CLAMPED = 4  # and 5: bearing would pull
-STARVED = 6  # and 7: eccentricity beyond the film's limit
-TURN = 8  # whole turns of the phase modulo the hunting cycle
-REVOLUTIONS = 9  # whole revolutions of gear 1 since the start
-STEPS, EVENTS, CAPPED, IMPACTS, FLANK_CHANGES = range(10, 15)
-PRESSED = 15  # the backlash was used up at the end of a step
-FLAGS_SIZE = 16
-
-# Events: a surface's value is positive on the side its flag stands for.
-UPPER_GAP = 0
-LOWER_GAP = 1
-MESH_CLAMP = 2
-BEARING_GAP = 3  # and 4
+# Events: a surface's value is positive on the side its flag stands for. Gaps first: only they can graze.
+UPPER_GAP, LOWER_GAP = 0, 1
+BEARING_GAP = 2  # and 3
+MESH_CLAMP = 4
 BEARING_CLAMP = 5  # and 6
 FILM_LIMIT = 7  # and 8
 EVENT_COUNT = 9
-
-# Point: accelerations, event values and rates, and what a sample shows.
-AX1, AY1, AX2, AY2, ALPHA1, ALPHA2 = range(6)
-VALUE = 6
-RATE = VALUE + EVENT_COUNT
-Q, Q_RATE, MESH_FORCE, TAN_ALPHA, HALF_BACKLASH, LOAD = range(24, 30)
-PENETRATION, CLOSING, CONTACT_X, CONTACT_Y, FILM_X, FILM_Y, DAMPING = range(30, 44, 2)
-POINT_SIZE = 44
+GAP_COUNT = 4
 
 # Columns of the excitation table, one pair of amplitudes (cosine, sine) each, and of its values.
 SURFACE, SURFACE_SLOPE, SURFACE_CURVATURE, STIFFNESS, STIFFNESS_SLOPE, ERROR, ERROR_SLOPE, ERROR_CURVATURE = (
     range(8)
 )
 EXCITATIONS = 8
-ROW_BLOCK = 8  # rows are padded to whole blocks of vector lanes
+# Rows of ``waves``: orders per hunting cycle; the waves on the steps' own grid; their turn over half a step;
+# waves at any other phase.
+ORDER, COSINE, SINE, TURN_COSINE, TURN_SINE, OTHER_COSINE, OTHER_SINE = range(7)
+WAVE_ROWS = 7
+ROW_BLOCK = 8  # waves are padded to whole blocks of lanes
+REFRESH_STEPS = 16  # after so many steps at the latest the waves are evaluated afresh
 
 SERIES_TERMS = 10
 SERIES_REACH = 1.0 / 40.0  # of tan^2(alpha0): beyond it the involute is evaluated in full
-ARCTANGENT_REACH = 1e-2
-ARCTANGENT_SERIES_REACH = 0.2
+ARCSINE_REACH = 1e-2
+ARCTANGENT_REACH = 0.2
 
 # Of the change of an event's value over its step. A gap may open onto a jump of the damping force; a clamp is
 # a mere kink, where an error in time counts by its square.
-GAP_TOLERANCE = 1e-10
-CLAMP_TOLERANCE = 1e-7
+GAP_TOLERANCE = 1e-8
+CLAMP_TOLERANCE = 1e-6
 SEARCH_LIMIT = 30
 STOPS_PER_STEP = 24
 # Of what is left of the step, for the first substep of a bearing contact: delta^1.5 is not smooth there.
@@ -90,152 +88,323 @@ STIFFNESS_LIMIT = 0.25
 SUBSTEPS_LIMIT = 4096.0
 SHORTEST_SUBSTEP = 1e-9  # of the step
 
-# Rows of states, points and excitations: start, end and middle of the step, lower end of a search.
-HERE, END, MIDDLE, LOW = range(4)
-ROWS = 4
+HERE, END, LOW = range(3)  # of points; a plain step swaps HERE and END
 
 RUNNING, OVER_SPEED, NON_FINITE, CENTRES_PRESSED = range(4)
 
+IMPACT_SIZE = 6
+
+F8, I8 = np.float64, np.int64
 
 CONSTANTS = np.dtype(
     [
-        ("kelvin", np.int64),
-        ("film", np.int64),
-        ("exact_geometry", np.int64),
-        ("contact_damping", np.int64),
-        ("nominal_phase", np.int64),
-        ("brake", np.int64),
-        ("governed", np.int64),
-        ("hunting", np.int64),  # turns of gear 1 after which the same teeth meet again
-        ("steps_per_sample", np.int64),
-        ("centre_distance", np.float64),  # a_s, m
-        ("base_radius1", np.float64),  # m
-        ("base_radius2", np.float64),
-        ("per_radii2", np.float64),  # 1 / (r_b1 + r_b2)^2, 1/m^2
-        ("tan2_alpha0", np.float64),
-        ("involute_alpha0", np.float64),
-        ("involute_series", np.float64, SERIES_TERMS),  # inv alpha - inv alpha0 in powers of xi
-        ("half_backlash", np.float64),  # b0, m
-        ("stiffness", np.float64),  # k_m, N/m
-        ("damping", np.float64),  # c1, N s/m
-        ("error_mean", np.float64),  # e_m, m
-        ("per_mass1", np.float64),  # 1/kg
-        ("per_mass2", np.float64),
-        ("per_inertia1", np.float64),  # 1/(kg m^2)
-        ("per_inertia2", np.float64),
-        ("teeth1", np.float64),
-        ("clearance", np.float64, 2),  # b_b, m, of each bearing as all that follow
-        ("kelvin_stiffness", np.float64, 2),  # N/m
-        ("kelvin_damping", np.float64, 2),  # N s/m
-        ("hertz", np.float64, 2),  # k_h sqrt(b_b + delta) of (2), N/m
-        ("damping_factor", np.float64, 2),  # a
-        ("per_oil_clearance", np.float64, 2),  # 1 / C, 1/m
-        ("film_factor", np.float64, 2),  # mu (D/2) L^3 / (4 C^2), N s
-        ("minimum_impact_speed", np.float64),  # m/s
-        ("eccentricity_limit2", np.float64),  # squared
-        ("load_viscous", np.float64),  # N m s
-        ("governor_proportional", np.float64),  # N m s
-        ("governor_integral", np.float64),  # N m
-        ("governor_limit", np.float64),  # N m
-        ("speed_limit", np.float64),  # rad/s
-        ("step", np.float64),  # s
+        ("kelvin", I8),
+        ("film", I8),
+        ("exact_geometry", I8),
+        ("contact_damping", I8),
+        ("nominal_phase", I8),
+        ("brake", I8),
+        ("governed", I8),
+        ("padded_waves", I8),  # whole blocks of lanes
+        ("waves", I8),  # even
+        ("hunting", I8),  # turns of gear 1 after which the same teeth meet again
+        ("steps_per_sample", I8),
+        ("centre_distance", F8),  # a_s, m
+        ("base_radius", F8, 2),  # m
+        ("per_radii", F8),  # 1 / (r_b1 + r_b2), 1/m
+        ("tan2_alpha0", F8),
+        ("involute_alpha0", F8),
+        # inv alpha - inv alpha0, tan alpha, cos alpha, sin alpha in powers of xi, side by side
+        ("involute_series", F8, 4 * SERIES_TERMS),
+        ("half_backlash", F8),  # b0, m
+        ("stiffness", F8),  # k_m, N/m
+        ("damping", F8),  # c1, N s/m
+        ("error_mean", F8),  # e_m, m
+        ("per_mass", F8, 2),  # 1/kg
+        ("per_inertia", F8, 2),  # 1/(kg m^2)
+        ("teeth1", F8),
+        ("clearance", F8, 2),  # b_b, m
+        ("kelvin_stiffness", F8, 2),  # N/m
+        ("kelvin_damping", F8, 2),  # N s/m
+        ("hertz", F8, 2),  # k_h sqrt(b_b + delta) of (2), N/m
+        ("damping_factor", F8, 2),  # a
+        ("per_oil_clearance", F8, 2),  # 1 / C, 1/m
+        ("film_factor", F8, 2),  # mu (D/2) L^3 / (4 C^2), N s
+        ("minimum_impact_speed", F8),  # m/s
+        ("eccentricity_limit2", F8),  # squared
+        ("load_viscous", F8),  # N m s
+        ("governor_proportional", F8),  # N m s
+        ("governor_integral", F8),  # N m
+        ("governor_limit", F8),  # N m
+        ("speed_limit", F8),  # rad/s
+        ("step", F8),  # s
+    ],
+    align=True,
+)
+
+# Integrated. Works are N m since the start: what shafts and moving excitations put in, what mesh and bearing
+# contacts took, what the films put in (negative where they damp).
+MOTION = [
+    ("x", F8, 2),  # m, displacements of the centres
+    ("y", F8, 2),
+    ("u", F8),  # m, r_b1 theta1 - r_b2 theta2
+    ("theta1", F8),  # rad, within one revolution
+    ("vx", F8, 2),  # m/s
+    ("vy", F8, 2),
+    ("omega", F8, 2),  # rad/s
+    ("mesh_impulse", F8),  # N s, integral of F_p
+    ("shaft_work", F8),
+    ("excitation_work", F8),
+    ("mesh_loss", F8),
+    ("contact_loss", F8, 2),
+    ("film_work", F8, 2),
+]
+
+STATE = np.dtype(
+    [
+        *MOTION,
+        ("impact_speed", F8, 2),  # m/s, latched: v_impact of (6)
+        ("impact_time", F8, 2),  # s, when the contact began
+        ("approach", F8, 2),  # m/s, closing speed then
+        ("peak_force2", F8, 2),  # N^2, greatest contact force since then, squared
+        ("nominal_turn", F8),  # nominal angle of gear 1 in turns, 0 to 1
+        ("nominal_rest", F8),  # what rounding took from it
+        ("governor", F8),  # N m, integral part of the governor's torque
+        ("drive_torque", F8),  # N m, applied, held over a sample interval
+        ("speed", F8),  # rad/s, commanded: set-point of the governor or nominal speed
+        ("load_torque", F8),  # N m, commanded
+        ("flank", F8),  # 1 drive flank, 0 apart, -1 back flank
+        ("mesh_clamped", F8),  # 1: the mesh would pull, force held at zero
+        ("contact", F8, 2),  # 1: bearing in contact
+        ("clamped", F8, 2),  # 1: bearing would pull
+        ("starved", F8, 2),  # 1: eccentricity beyond the film's limit
+        ("turn", I8),  # whole turns of the phase modulo the hunting cycle
+        ("revolutions", I8),  # whole revolutions of gear 1 since the start
+        ("steps", I8),
+        ("events", I8),
+        ("capped", I8),
+        ("impacts", I8),
+        ("flank_changes", I8),
+        ("pressed", I8),  # the backlash was used up at the end of a step
+        ("listed", I8),  # rows of this call's list of impacts
+    ],
+    align=True,
+)
+
+POINT = np.dtype(
+    [
+        *MOTION,
+        ("time", F8),  # s
+        ("turn", F8),  # of gear 1, what sets the phase beside whole turns
+        ("lag", F8),  # rad of mesh phase by which the state is ahead of the excitations below
+        ("excitation", F8, EXCITATIONS),
+        ("middle", F8, EXCITATIONS),  # excitations half a step before
+        ("value", F8, EVENT_COUNT),
+        ("rate", F8, EVENT_COUNT),
+        ("ax", F8, 2),  # m/s^2
+        ("ay", F8, 2),
+        ("alpha", F8, 2),  # rad/s^2
+        ("mesh_force", F8),
+        ("shaft_power", F8),  # W, as all of the works' rates
+        ("excitation_power", F8),
+        ("mesh_loss_rate", F8),
+        ("contact_loss_rate", F8, 2),
+        ("film_power", F8, 2),
+        ("q", F8),
+        ("q_rate", F8),
+        ("tan_alpha", F8),
+        ("half_backlash", F8),
+        ("mesh_energy", F8),  # N m, of the teeth's spring
+        ("load", F8),
+        ("penetration", F8, 2),
+        ("closing", F8, 2),
+        ("contact_x", F8, 2),
+        ("contact_y", F8, 2),
+        ("film_x", F8, 2),
+        ("film_y", F8, 2),
+        ("damping", F8, 2),  # N s/m
     ],
     align=True,
 )
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
-def excite(turn: float, waves: Floats, amplitudes: Floats, excs: Floats, e_row: int) -> None:
-    """Sum of all periodic excitations at ``turn``, the fraction of the hunting cycle, into row ``e_row``.
+class Motion(NamedTuple):
+    """What the right-hand side depends on."""
 
-    ``waves`` (3, n): orders per cycle, then room for cosine and sine; ``amplitudes`` (2, n, EXCITATIONS).
-    Sine and cosine come from Taylor polynomials of the half angle, |x| <= pi/2, exact to rounding, in a loop
-    without branches that the compiler turns into vectors.
-    """
-    n = waves.shape[1]
-    for j in range(n):
-        r = waves[0, j] * turn
-        r -= (r + 6755399441055744.0) - 6755399441055744.0
-        x = math.pi * r
+    x: Pair
+    y: Pair
+    u: float
+    vx: Pair
+    vy: Pair
+    omega: Pair
+
+
+class Mesh(NamedTuple):
+    """The mesh at one motion; ``along`` is the direction of the force on gear 2."""
+
+    force: float
+    along_x: float
+    along_y: float
+    q: float
+    q_rate: float
+    tan_alpha: float
+    half_backlash: float
+    half_backlash_rate: float
+    approach: float  # g
+    stiffness: float
+    excitation_power: float
+    loss_rate: float
+
+
+class Bearings(NamedTuple):
+    """Both bearings' contacts."""
+
+    force_x: Pair
+    force_y: Pair
+    penetration: Pair
+    closing: Pair
+    damping: Pair
+    clamp: Pair  # positive while the contact pushes
+    loss_rate: Pair
+
+
+class Film(NamedTuple):
+    """Both bearings' films, ``margin`` to the eccentricity limit, squared."""
+
+    force_x: Pair
+    force_y: Pair
+    margin: Pair
+    margin_rate: Pair
+
+
+class Rates(NamedTuple):
+    """What a step integrates."""
+
+    ax: Pair
+    ay: Pair
+    alpha: Pair
+    force: float
+    shaft_power: float
+    excitation_power: float
+    mesh_loss_rate: float
+    contact_loss_rate: Pair
+    film_power: Pair
+
+
+hot = njit(cache=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
+compiled = njit(cache=True, fastmath={"contract"}, error_model="numpy")
+
+
+@hot
+def sine_cosine(turns: Octet) -> tuple[Octet, Octet]:
+    """Sine and cosine of 2 pi ``turns``, exact to rounding: Taylor polynomials of the half angle, |x| <= pi/2."""
+    x = math.pi * (turns - ((turns + 6755399441055744.0) - 6755399441055744.0))
+    x2 = x * x
+    s = 1.0 / 51090942171709440000.0 * x2 - 1.0 / 121645100408832000.0
+    s = s * x2 + 1.0 / 355687428096000.0
+    s = s * x2 - 1.0 / 1307674368000.0
+    s = s * x2 + 1.0 / 6227020800.0
+    s = s * x2 - 1.0 / 39916800.0
+    s = s * x2 + 1.0 / 362880.0
+    s = s * x2 - 1.0 / 5040.0
+    s = s * x2 + 1.0 / 120.0
+    s = s * x2 - 1.0 / 6.0
+    s = x + x * x2 * s
+    c = 1.0 / 2432902008176640000.0 * x2 - 1.0 / 6402373705728000.0
+    c = c * x2 + 1.0 / 20922789888000.0
+    c = c * x2 - 1.0 / 87178291200.0
+    c = c * x2 + 1.0 / 479001600.0
+    c = c * x2 - 1.0 / 3628800.0
+    c = c * x2 + 1.0 / 40320.0
+    c = c * x2 - 1.0 / 720.0
+    c = c * x2 + 1.0 / 24.0
+    c = c * x2 - 0.5
+    c = c * x2 + 1.0
+    return 2.0 * s * c, 1.0 - 2.0 * s * s
+
+
+@hot
+def set_waves(constants: np.record, waves: Pointer, turn: float, cosine_row: int, sine_row: int) -> None:
+    """Sines and cosines of all waves at ``turn``, the fraction of the hunting cycle."""
+    n = constants.padded_waves
+    for j in range(0, n, ROW_BLOCK):
+        sine, cosine = sine_cosine(load8(waves, ORDER * n + j) * turn)
+        store(waves, cosine_row * n + j, cosine)
+        store(waves, sine_row * n + j, sine)
+
+
+@hot
+def turn_waves(constants: np.record, waves: Pointer) -> None:
+    """The waves on the grid half a step on: one rotation."""
+    n = constants.padded_waves
+    for j in range(0, n, ROW_BLOCK):
+        cosine, sine = load8(waves, COSINE * n + j), load8(waves, SINE * n + j)
+        turn_cosine, turn_sine = load8(waves, TURN_COSINE * n + j), load8(waves, TURN_SINE * n + j)
+        store(waves, COSINE * n + j, cosine * turn_cosine - sine * turn_sine)
+        store(waves, SINE * n + j, sine * turn_cosine + cosine * turn_sine)
+
+
+@hot
+def nudge_waves(constants: np.record, waves: Pointer, turn: float) -> None:
+    """The waves on the grid turned by the small ``turn`` (a fraction of the hunting cycle)."""
+    n = constants.padded_waves
+    for j in range(0, n, ROW_BLOCK):
+        cosine, sine = load8(waves, COSINE * n + j), load8(waves, SINE * n + j)
+        x = load8(waves, ORDER * n + j) * (TWO_PI * turn)
         x2 = x * x
-        s = 1.0 / 51090942171709440000.0
-        s = s * x2 - 1.0 / 121645100408832000.0
-        s = s * x2 + 1.0 / 355687428096000.0
-        s = s * x2 - 1.0 / 1307674368000.0
-        s = s * x2 + 1.0 / 6227020800.0
-        s = s * x2 - 1.0 / 39916800.0
-        s = s * x2 + 1.0 / 362880.0
-        s = s * x2 - 1.0 / 5040.0
-        s = s * x2 + 1.0 / 120.0
-        s = s * x2 - 1.0 / 6.0
-        s = x + x * x2 * s
-        c = 1.0 / 2432902008176640000.0
-        c = c * x2 - 1.0 / 6402373705728000.0
-        c = c * x2 + 1.0 / 20922789888000.0
-        c = c * x2 - 1.0 / 87178291200.0
-        c = c * x2 + 1.0 / 479001600.0
-        c = c * x2 - 1.0 / 3628800.0
-        c = c * x2 + 1.0 / 40320.0
-        c = c * x2 - 1.0 / 720.0
-        c = c * x2 + 1.0 / 24.0
-        c = c * x2 - 0.5
-        c = c * x2 + 1.0
-        waves[2, j] = 2.0 * s * c
-        waves[1, j] = 1.0 - 2.0 * s * s
-    v0 = v1 = v2 = v3 = v4 = v5 = v6 = v7 = 0.0
-    for j in range(n):
-        c, s = waves[1, j], waves[2, j]
-        v0 += c * amplitudes[0, j, 0] + s * amplitudes[1, j, 0]
-        v1 += c * amplitudes[0, j, 1] + s * amplitudes[1, j, 1]
-        v2 += c * amplitudes[0, j, 2] + s * amplitudes[1, j, 2]
-        v3 += c * amplitudes[0, j, 3] + s * amplitudes[1, j, 3]
-        v4 += c * amplitudes[0, j, 4] + s * amplitudes[1, j, 4]
-        v5 += c * amplitudes[0, j, 5] + s * amplitudes[1, j, 5]
-        v6 += c * amplitudes[0, j, 6] + s * amplitudes[1, j, 6]
-        v7 += c * amplitudes[0, j, 7] + s * amplitudes[1, j, 7]
-    excs[e_row, 0] = v0
-    excs[e_row, 1] = v1
-    excs[e_row, 2] = v2
-    excs[e_row, 3] = v3
-    excs[e_row, 4] = v4
-    excs[e_row, 5] = v5
-    excs[e_row, 6] = v6
-    excs[e_row, 7] = v7
+        turn_sine = x * (1.0 - x2 * (1.0 / 6.0 - x2 * (1.0 / 120.0)))
+        versine = x2 * (0.5 - x2 * (1.0 / 24.0 - x2 * (1.0 / 720.0)))
+        store(waves, COSINE * n + j, cosine - (cosine * versine + sine * turn_sine))
+        store(waves, SINE * n + j, sine - (sine * versine - cosine * turn_sine))
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
-def arctangent(x: float) -> float:
-    """atan x to rounding: Taylor's series where the film mostly is, without a call that spills registers."""
-    if abs(x) > ARCTANGENT_SERIES_REACH:
-        return math.atan(x)
+@hot
+def sum_waves(
+    constants: np.record, waves: Pointer, amplitudes: Pointer, cosine_row: int, sine_row: int
+) -> Octet:
+    """All columns of the excitation table, eight side by side."""
+    n = constants.padded_waves
+    c, s = cosine_row * n, sine_row * n
+    even_c, even_s = waves[c] * load8(amplitudes, 0), waves[s] * load8(amplitudes, 8)
+    odd_c, odd_s = waves[c + 1] * load8(amplitudes, 16), waves[s + 1] * load8(amplitudes, 24)
+    for j in range(2, constants.waves, 2):
+        even_c = even_c + waves[c + j] * load8(amplitudes, 16 * j)
+        even_s = even_s + waves[s + j] * load8(amplitudes, 16 * j + 8)
+        odd_c = odd_c + waves[c + j + 1] * load8(amplitudes, 16 * j + 16)
+        odd_s = odd_s + waves[s + j + 1] * load8(amplitudes, 16 * j + 24)
+    return (even_c + even_s) + (odd_c + odd_s)
+
+
+@hot
+def arctangent(x: Any) -> Any:
+    """atan x to rounding: Taylor's series where the film mostly is, without calls that spill registers."""
+    if any_negative(ARCTANGENT_REACH - absolute(x)):
+        return arctangent_of(x)
     x2 = x * x
     x4 = x2 * x2
-    even = 1.0 / 5.0 + x4 * (1.0 / 9.0 + x4 * (1.0 / 13.0 + x4 * (1.0 / 17.0 + x4 * (1.0 / 21.0))))
-    odd = 1.0 / 3.0 + x4 * (1.0 / 7.0 + x4 * (1.0 / 11.0 + x4 * (1.0 / 15.0 + x4 * (1.0 / 19.0))))
-    return x - x * x2 * (odd - x2 * even)
+    x8 = x4 * x4
+    low = (1.0 / 3.0 - 1.0 / 5.0 * x2) + x4 * (1.0 / 7.0 - 1.0 / 9.0 * x2)
+    high = (1.0 / 11.0 - 1.0 / 13.0 * x2) + x4 * (1.0 / 15.0 - 1.0 / 17.0 * x2)
+    return x - x * x2 * (low + x8 * (high + x8 * (1.0 / 19.0 - 1.0 / 21.0 * x2)))
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
-def film_force(
-    coefficient: float, w: float, ex: float, ey: float, ux: float, uy: float
-) -> tuple[float, float]:
-    """Capone's short-bearing film (9)-(15): force on the shaft (x, y) in N.
+@hot
+def film_force(coefficient: Any, w: Any, ex: Any, ey: Any, ux: Any, uy: Any) -> tuple[Any, Any]:
+    """Capone's short-bearing film (9)-(15): force on the shaft (x, y) in N; of one bearing or of both.
 
     ``coefficient`` mu (D/2) L^3 / (4 C^2) in N s, ``w`` signed shaft speed in rad/s; ``ex``, ``ey``
     eccentricity (dimensionless, below 1) and ``ux``, ``uy`` velocity, both divided by the radial clearance C.
     """
     a = w * ex - 2.0 * uy
     b = w * ey + 2.0 * ux
-    m = math.sqrt(a * a + b * b)
-    if m == 0.0:
-        return 0.0, 0.0
-    inverse_m = 1.0 / m
-    cos_al, sin_al = -a * inverse_m, -b * inverse_m
-    inverse_root = 1.0 / math.sqrt(1.0 - (ex * ex + ey * ey))
+    m = square_root(a * a + b * b)
+    inverse_m = 1.0 / at_least(m, TINY)
+    inverse_root = 1.0 / square_root(1.0 - (ex * ex + ey * ey))
     inverse_s = inverse_root * inverse_root
-    h = ey * cos_al - ex * sin_al
-    g = 2.0 * inverse_root * (0.5 * math.pi + arctangent(h * inverse_root))
-    v = (2.0 + h * g) * inverse_s
+    cos_al, sin_al = -a * inverse_m, -b * inverse_m
+    mh = ex * b - ey * a
+    g = 2.0 * inverse_root * (0.5 * math.pi + arctangent(mh * (inverse_m * inverse_root)))
+    v = (2.0 + mh * inverse_m * g) * inverse_s
     c = ex * cos_al + ey * sin_al
     big_s = c / (1.0 - c * c)
     f = -coefficient * m * inverse_s
@@ -245,386 +414,430 @@ def film_force(
     )
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
-def bearing(
-    constants: np.record,
-    gear: int,
-    w: float,
-    x: float,
-    y: float,
-    vx: float,
-    vy: float,
-    latched: float,
-    flags: Flags,
-) -> Bearing:
-    """Contact (2)-(6) and film (9)-(15) of one bearing, flags frozen.
+@compiled
+def held_eccentricity(constants: np.record, state: np.record, gear: int, eps2: float) -> float:
+    """Factor that brings a journal beyond the film's limit back to it.
 
-    Returns (contact force x, y; film force x, y in N; penetration m, its rate m/s; events' values: gap, its
-    rate, clamp, film margin, its rate; damping N s/m).
+    Before that event is located a trial step may overshoot the limit, yet never the wall.
     """
-    d = math.sqrt(x * x + y * y)
-    nx, ny, inverse_d = 1.0, 0.0, 0.0
-    if d > 0.0:
-        inverse_d = 1.0 / d
-        nx, ny = x * inverse_d, y * inverse_d
-    delta = d - constants.clearance[gear]
-    closing = vx * nx + vy * ny
-    force = 0.0
-    gap_sign, damping = -1.0, 0.0
-    clamp_value = 1.0
-    if flags[CONTACT + gear] == 1:
-        gap_sign = 1.0
-        if constants.kelvin:
-            clamp_value = constants.kelvin_stiffness[gear] * delta + constants.kelvin_damping[gear] * closing
-            force = clamp_value
-            damping = constants.kelvin_damping[gear]
-        else:
-            depth = max(delta, 0.0)
-            clamp_value = 1.0 + constants.damping_factor[gear] * closing / latched
-            force = constants.hertz[gear] * depth * math.sqrt(depth * inverse_d)
-            damping = force * constants.damping_factor[gear] / latched
-            force *= clamp_value
-        if flags[CLAMPED + gear] == 1:
-            force = 0.0
-            clamp_value = -clamp_value
-    film_x, film_y, margin, margin_rate = 0.0, 0.0, 1.0, 0.0
-    if constants.film:
-        per_c = constants.per_oil_clearance[gear]
-        relative = d * per_c
-        eps2 = relative * relative
-        margin, margin_rate = constants.eccentricity_limit2 - eps2, -2.0 * relative * closing * per_c
-        # Before the event is located a trial step may overshoot the limit, yet never the wall.
-        bound2 = 0.5 * (1.0 + constants.eccentricity_limit2)
-        starved = flags[STARVED + gear] == 1
-        if starved:
-            bound2 = constants.eccentricity_limit2
-            margin, margin_rate = -margin, -margin_rate
-        ex, ey = x * per_c, y * per_c
-        if starved or eps2 > bound2:
-            scale = math.sqrt(bound2 / eps2)
-            ex, ey = ex * scale, ey * scale
-        film_x, film_y = film_force(constants.film_factor[gear], w, ex, ey, vx * per_c, vy * per_c)
-    return (
-        -force * nx,
-        -force * ny,
-        film_x,
-        film_y,
-        delta,
-        closing,
-        gap_sign * delta,
-        gap_sign * closing,
-        clamp_value,
-        margin,
-        margin_rate,
-        damping,
+    limit2 = constants.eccentricity_limit2
+    if state.starved[gear] == 0.0:
+        limit2 = 0.5 * (1.0 + limit2)
+        if eps2 <= limit2:
+            return 1.0
+    return math.sqrt(limit2 / eps2)
+
+
+@hot
+def film(constants: np.record, state: np.record, motion: Motion) -> Film:
+    """Oil films (9)-(15) of both bearings."""
+    per_c = load2(constants.per_oil_clearance, 0)
+    w = both(motion.omega[0], -motion.omega[1])
+    if constants.nominal_phase:
+        w = state.speed * both(1.0, -constants.base_radius[0] / constants.base_radius[1])
+    ex, ey = motion.x * per_c, motion.y * per_c
+    ux, uy = motion.vx * per_c, motion.vy * per_c
+    eps2 = ex * ex + ey * ey
+    margin = constants.eccentricity_limit2 - eps2
+    margin_rate = -2.0 * (ex * ux + ey * uy)
+    starved = load2(state.starved, 0)
+    if any_negative(margin) or any_negative(-starved):
+        margin = margin * (1.0 - 2.0 * starved)
+        margin_rate = margin_rate * (1.0 - 2.0 * starved)
+        held = both(
+            held_eccentricity(constants, state, 0, eps2[0]), held_eccentricity(constants, state, 1, eps2[1])
+        )
+        ex, ey = ex * held, ey * held
+    force_x, force_y = film_force(load2(constants.film_factor, 0), w, ex, ey, ux, uy)
+    return Film(force_x, force_y, margin, margin_rate)
+
+
+@hot
+def bearings(constants: np.record, state: np.record, motion: Motion) -> Bearings:
+    """Contacts (2)-(6) of both bearings, flags frozen."""
+    d = square_root(motion.x * motion.x + motion.y * motion.y)
+    inverse_d = 1.0 / at_least(d, TINY)
+    nx, ny = motion.x * inverse_d, motion.y * inverse_d
+    penetration = d - load2(constants.clearance, 0)
+    closing = motion.vx * nx + motion.vy * ny
+    contact, clamped = load2(state.contact, 0), load2(state.clamped, 0)
+    if constants.kelvin:
+        elastic = load2(constants.kelvin_stiffness, 0) * penetration
+        damping = load2(constants.kelvin_damping, 0)
+        total = elastic + damping * closing
+        clamp = total
+    else:
+        depth = at_least(penetration, 0.0)
+        elastic = load2(constants.hertz, 0) * depth * square_root(depth * d) * inverse_d
+        per_speed = load2(constants.damping_factor, 0) / load2(state.impact_speed, 0)
+        damping = elastic * per_speed
+        clamp = 1.0 + per_speed * closing
+        total = elastic * clamp
+    force = (contact - clamped) * total
+    return Bearings(
+        force_x=-force * nx,
+        force_y=-force * ny,
+        penetration=penetration,
+        closing=closing,
+        damping=contact * damping,
+        clamp=(1.0 - contact) + (contact - 2.0 * clamped) * clamp,
+        loss_rate=(force - contact * elastic) * closing,
     )
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
-def dynamics(
-    constants: np.record,
-    speed: float,
-    load: float,
-    states: Floats,
-    s: int,
-    flags: Flags,
-    excs: Floats,
-    e_row: int,
-    lag: float,
-) -> tuple[Rates, float, Mesh, Mesh, Bearing, Bearing]:
-    """Right-hand side at row ``s`` of ``states`` with ``flags`` frozen, and the events' values.
+@hot
+def involute_functions(constants: np.record, xi: float) -> tuple[float, float, float, float]:
+    """inv alpha - inv alpha0, tan, cos and sin of alpha where tan^2 alpha = tan^2 alpha0 + ``xi``."""
+    if abs(xi) > SERIES_REACH * constants.tan2_alpha0:
+        tangent = math.sqrt(constants.tan2_alpha0 + xi)
+        cosine = 1.0 / math.sqrt(1.0 + constants.tan2_alpha0 + xi)
+        return tangent - math.atan(tangent) - constants.involute_alpha0, tangent, cosine, cosine * tangent
+    series = constants.involute_series
+    xi2 = xi * xi
+    xi4 = xi2 * xi2
+    low = (load4(series, 0) + load4(series, 4) * xi) + (load4(series, 8) + load4(series, 12) * xi) * xi2
+    high = (load4(series, 16) + load4(series, 20) * xi) + (load4(series, 24) + load4(series, 28) * xi) * xi2
+    top = load4(series, 32) + load4(series, 36) * xi
+    total = low + (high + top * xi4) * xi4
+    return total[0], total[1], total[2], total[3]
 
-    ``speed`` set-point in rad/s and ``load`` commanded load torque in N m; row ``e_row`` of ``excs`` holds
-    the excitations at a phase that the state is ahead of by ``lag`` rad of mesh phase. (21)-(32).
 
-    Returns (accelerations; mesh force; mesh events: upper gap and rate, lower gap and rate, clamp; (q, its
-    rate, tan alpha, b1, load torque); bearing 1; bearing 2). Inlined, so that a caller pays for what it uses.
-    """
-    x1, y1, x2, y2 = states[s, X1], states[s, Y1], states[s, X2], states[s, Y2]
-    vx1, vy1, vx2, vy2 = states[s, VX1], states[s, VY1], states[s, VX2], states[s, VY2]
-    omega1, omega2 = states[s, OMEGA1], states[s, OMEGA2]
-    rb1, rb2 = constants.base_radius1, constants.base_radius2
-    r_sum = rb1 + rb2
-
-    phase_speed = speed if constants.nominal_phase else omega1
-    phi_rate = constants.teeth1 * phase_speed
+@hot
+def mesh(constants: np.record, state: np.record, motion: Motion, excitation: Floats, lag: float) -> Mesh:
+    """Teeth in mesh (21)-(30), flags frozen; the state is ``lag`` rad of mesh phase ahead of ``excitation``."""
+    r1, r2 = constants.base_radius[0], constants.base_radius[1]
+    r_sum = r1 + r2
     half = 0.5 * lag
-    z = excs[e_row, SURFACE] + lag * (excs[e_row, SURFACE_SLOPE] + half * excs[e_row, SURFACE_CURVATURE])
-    z_rate = phi_rate * (excs[e_row, SURFACE_SLOPE] + lag * excs[e_row, SURFACE_CURVATURE])
-    k1 = constants.stiffness * (1.0 + excs[e_row, STIFFNESS] + lag * excs[e_row, STIFFNESS_SLOPE])
-    e = (
-        constants.error_mean
-        + excs[e_row, ERROR]
-        + lag * (excs[e_row, ERROR_SLOPE] + half * excs[e_row, ERROR_CURVATURE])
-    )
-    e_rate = phi_rate * (excs[e_row, ERROR_SLOPE] + lag * excs[e_row, ERROR_CURVATURE])
+    phase_speed = state.speed if constants.nominal_phase else motion.omega[0]
+    phi_rate = constants.teeth1 * phase_speed
+    z = excitation[SURFACE] + lag * (excitation[SURFACE_SLOPE] + half * excitation[SURFACE_CURVATURE])
+    z_rate = phi_rate * (excitation[SURFACE_SLOPE] + lag * excitation[SURFACE_CURVATURE])
+    k1 = constants.stiffness * (1.0 + excitation[STIFFNESS] + lag * excitation[STIFFNESS_SLOPE])
+    k1_rate = constants.stiffness * phi_rate * excitation[STIFFNESS_SLOPE]
+    e_moving = excitation[ERROR] + lag * (excitation[ERROR_SLOPE] + half * excitation[ERROR_CURVATURE])
+    e = constants.error_mean + e_moving
+    e_rate = phi_rate * (excitation[ERROR_SLOPE] + lag * excitation[ERROR_CURVATURE])
 
-    ux, uy = x2 - x1, y2 - y1
-    wx, wy = vx2 - vx1, vy2 - vy1
+    ux, uy = motion.x[1] - motion.x[0], motion.y[1] - motion.y[0]
+    wx, wy = motion.vx[1] - motion.vx[0], motion.vy[1] - motion.vy[0]
     dx = constants.centre_distance + ux
-    a2 = dx * dx + uy * uy
-    per_a = 1.0 / math.sqrt(a2)
-    per_a2 = per_a * per_a
-    xi = (ux * (2.0 * constants.centre_distance + ux) + uy * uy) * constants.per_radii2
-    tan_alpha = math.sqrt(constants.tan2_alpha0 + xi)
-    if abs(xi) < SERIES_REACH * constants.tan2_alpha0:
-        series = constants.involute_series
-        involute = series[SERIES_TERMS - 1]
-        for i in range(SERIES_TERMS - 2, -1, -1):
-            involute = involute * xi + series[i]
-        involute *= xi
-    else:
-        involute = tan_alpha - math.atan(tan_alpha) - constants.involute_alpha0
-    slope = uy / dx
-    if abs(slope) < ARCTANGENT_REACH:
-        s2 = slope * slope
-        beta = slope * (1.0 - s2 * (1.0 / 3.0 - s2 * (0.2 - s2 * (1.0 / 7.0 - s2 * (1.0 / 9.0)))))
-    else:
-        beta = math.atan2(uy, dx)
+    xi = (ux * (constants.centre_distance + dx) + uy * uy) * (constants.per_radii * constants.per_radii)
+    involute, tan_alpha, cos_alpha, sin_alpha = involute_functions(constants, xi)
+    per_a = cos_alpha * constants.per_radii
     cos_beta, sin_beta = dx * per_a, uy * per_a
-    cos_alpha = r_sum * per_a
-    sin_alpha = cos_alpha * tan_alpha
     sin_gamma = sin_alpha * cos_beta - cos_alpha * sin_beta
     cos_gamma = cos_alpha * cos_beta + sin_alpha * sin_beta
-
-    a_rate_over_a = (dx * wx + uy * wy) * per_a2
-    beta_rate = (dx * wy - uy * wx) * per_a2
-    b1 = r_sum * involute + constants.half_backlash - 0.5 * z
+    a_rate_over_a = (cos_beta * wx + sin_beta * wy) * per_a
+    beta_rate = (cos_beta * wy - sin_beta * wx) * per_a
+    b1 = r_sum * involute + (constants.half_backlash - 0.5 * z)
     b1_rate = r_sum * tan_alpha * a_rate_over_a - 0.5 * z_rate
-
-    u_rate = rb1 * omega1 - rb2 * omega2
-    if constants.exact_geometry:
-        q = states[s, U] - r_sum * beta - e
-        q_rate = u_rate - r_sum * beta_rate - e_rate
-    else:
-        gamma_rate = a_rate_over_a / tan_alpha - beta_rate
-        q = states[s, U] - ux * sin_gamma - uy * cos_gamma - e
-        q_rate = (
-            u_rate - wx * sin_gamma - wy * cos_gamma - gamma_rate * (ux * cos_gamma - uy * sin_gamma) - e_rate
-        )
-
-    flank = flags[FLANK]
-    upper, upper_rate = b1 - q, b1_rate - q_rate
-    lower, lower_rate = q + b1, q_rate + b1_rate
+    u_rate = r1 * motion.omega[0] - r2 * motion.omega[1]
     along_x, along_y = sin_gamma, cos_gamma
-    clamp_value = 1.0
-    force = 0.0
-    if flank == 1:
-        upper, upper_rate = -upper, -upper_rate
-        lower, lower_rate = 1.0, 0.0
-        force = k1 * upper
-    elif flank == -1:
-        force = k1 * lower
-        lower, lower_rate = -lower, -lower_rate
-        upper, upper_rate = 1.0, 0.0
-        if constants.exact_geometry:
+    if constants.exact_geometry:
+        q = (motion.u - e) - r_sum * position_angle(sin_beta, cos_beta)
+        q_rate = (u_rate - e_rate) - r_sum * beta_rate
+        if state.flank < 0.0:
             along_x = -(sin_alpha * cos_beta + cos_alpha * sin_beta)
             along_y = cos_alpha * cos_beta - sin_alpha * sin_beta
-    if constants.contact_damping:
-        if flank != 0:
-            force += constants.damping * (q_rate - flank * b1_rate)
-            clamp_value = flank * force
-            if flags[MESH_CLAMPED] == 1:
-                clamp_value = -clamp_value
-                force = 0.0
     else:
-        force += constants.damping * q_rate
+        gamma_rate = a_rate_over_a / tan_alpha - beta_rate
+        q = (motion.u - e) - ux * sin_gamma - uy * cos_gamma
+        q_rate = (u_rate - e_rate) - wx * sin_gamma - wy * cos_gamma
+        q_rate -= gamma_rate * (ux * cos_gamma - uy * sin_gamma)
 
-    w1, w2 = omega1, -omega2
-    if constants.nominal_phase:
-        w1, w2 = speed, -speed * rb1 / rb2
-    bearing1 = bearing(constants, 0, w1, x1, y1, vx1, vy1, states[s, IMPACT_SPEED], flags)
-    bearing2 = bearing(constants, 1, w2, x2, y2, vx2, vy2, states[s, IMPACT_SPEED + 1], flags)
-    load_torque = load
+    flank = state.flank
+    touching = abs(flank)
+    side = flank + (1.0 - touching)
+    approach = touching * (q - flank * b1)
+    approach_rate = q_rate - side * b1_rate
+    elastic = k1 * approach
+    if constants.contact_damping:
+        force = (touching - state.mesh_clamped) * (elastic + constants.damping * approach_rate)
+    else:
+        force = elastic + constants.damping * q_rate
+    return Mesh(
+        force=force,
+        along_x=along_x,
+        along_y=along_y,
+        q=q,
+        q_rate=q_rate,
+        tan_alpha=tan_alpha,
+        half_backlash=b1,
+        half_backlash_rate=b1_rate,
+        approach=approach,
+        stiffness=k1,
+        excitation_power=0.5 * k1_rate * approach * approach - force * (e_rate - 0.5 * side * z_rate),
+        loss_rate=(force - elastic) * approach_rate,
+    )
+
+
+@hot
+def position_angle(sin_beta: float, cos_beta: float) -> float:
+    """beta of (27)."""
+    if abs(sin_beta) > ARCSINE_REACH:
+        return math.atan2(sin_beta, cos_beta)
+    s2 = sin_beta * sin_beta
+    return sin_beta + sin_beta * s2 * ((1.0 / 6.0 + s2 * 0.075) + s2 * s2 * (5.0 / 112.0 + s2 * (35.0 / 1152.0)))
+
+
+@hot
+def dynamics(
+    constants: np.record, state: np.record, motion: Motion, excitation: Floats, lag: float
+) -> tuple[Rates, Mesh, Bearings, Film, float]:
+    """Right-hand side (31), (32) with flags frozen, all it was made of, and the load torque in N m.
+
+    Inlined, so that a caller pays for what it uses.
+    """
+    teeth = mesh(constants, state, motion, excitation, lag)
+    contacts = bearings(constants, state, motion)
+    nothing = both(0.0, 0.0)
+    oil = Film(nothing, nothing, both(1.0, 1.0), nothing)
+    if constants.film:
+        oil = film(constants, state, motion)
+    load = state.load_torque
     if constants.brake:
-        load_torque = load * math.tanh(omega2)
-    load_torque += constants.load_viscous * omega2
+        load *= math.tanh(motion.omega[1])
+    load += constants.load_viscous * motion.omega[1]
+    mesh_x, mesh_y = teeth.force * teeth.along_x, teeth.force * teeth.along_y
+    per_mass = load2(constants.per_mass, 0)
+    rates = Rates(
+        ax=((contacts.force_x + oil.force_x) + both(-mesh_x, mesh_x)) * per_mass,
+        ay=((contacts.force_y + oil.force_y) + both(-mesh_y, mesh_y)) * per_mass,
+        alpha=both(
+            state.drive_torque - teeth.force * constants.base_radius[0],
+            teeth.force * constants.base_radius[1] - load,
+        )
+        * load2(constants.per_inertia, 0),
+        force=teeth.force,
+        shaft_power=state.drive_torque * motion.omega[0] - load * motion.omega[1],
+        excitation_power=teeth.excitation_power,
+        mesh_loss_rate=teeth.loss_rate,
+        contact_loss_rate=contacts.loss_rate,
+        film_power=oil.force_x * motion.vx + oil.force_y * motion.vy,
+    )
+    return rates, teeth, contacts, oil, load
 
-    return (
-        (
-            (bearing1[0] + bearing1[2] - force * along_x) * constants.per_mass1,
-            (bearing1[1] + bearing1[3] - force * along_y) * constants.per_mass1,
-            (bearing2[0] + bearing2[2] + force * along_x) * constants.per_mass2,
-            (bearing2[1] + bearing2[3] + force * along_y) * constants.per_mass2,
-            (states[s, DRIVE_TORQUE] - force * rb1) * constants.per_inertia1,
-            (force * rb2 - load_torque) * constants.per_inertia2,
-        ),
-        force,
-        (upper, upper_rate, lower, lower_rate, clamp_value),
-        (q, q_rate, tan_alpha, b1, load_torque),
-        bearing1,
-        bearing2,
+
+@hot
+def motion_at(point: np.record) -> Motion:
+    """What the right-hand side needs of ``point``."""
+    return Motion(
+        load2(point.x, 0),
+        load2(point.y, 0),
+        point.u,
+        load2(point.vx, 0),
+        load2(point.vy, 0),
+        load2(point.omega, 0),
     )
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def evaluate(
-    constants: np.record,
-    speed: float,
-    load: float,
-    states: Floats,
-    s: int,
-    flags: Flags,
-    excs: Floats,
-    e_row: int,
-    lag: float,
-    points: Floats,
-    p: int,
+@hot
+def evaluate(constants: np.record, state: np.record, point: np.record) -> None:
+    """``dynamics`` at ``point``, kept there with the events' values and rates."""
+    motion = motion_at(point)
+    rates, teeth, contacts, oil, load = dynamics(constants, state, motion, point.excitation, point.lag)
+    keep_rates(point, rates)
+    point.q, point.q_rate, point.tan_alpha = teeth.q, teeth.q_rate, teeth.tan_alpha
+    point.half_backlash, point.load = teeth.half_backlash, load
+    point.mesh_energy = 0.5 * teeth.stiffness * teeth.approach * teeth.approach
+    store(point.penetration, 0, contacts.penetration)
+    store(point.closing, 0, contacts.closing)
+    store(point.contact_x, 0, contacts.force_x)
+    store(point.contact_y, 0, contacts.force_y)
+    store(point.damping, 0, contacts.damping)
+    store(point.film_x, 0, oil.force_x)
+    store(point.film_y, 0, oil.force_y)
+    keep_mesh_events(constants, state, point, teeth)
+    side = 2.0 * load2(state.contact, 0) - 1.0
+    store(point.value, BEARING_GAP, side * contacts.penetration)
+    store(point.rate, BEARING_GAP, side * contacts.closing)
+    store(point.value, BEARING_CLAMP, contacts.clamp)
+    store(point.value, FILM_LIMIT, oil.margin)
+    store(point.rate, FILM_LIMIT, oil.margin_rate)
+
+
+@hot
+def keep_rates(point: np.record, rates: Rates) -> None:
+    """Store what a step integrates."""
+    store(point.ax, 0, rates.ax)
+    store(point.ay, 0, rates.ay)
+    store(point.alpha, 0, rates.alpha)
+    point.mesh_force, point.shaft_power = rates.force, rates.shaft_power
+    point.excitation_power, point.mesh_loss_rate = rates.excitation_power, rates.mesh_loss_rate
+    store(point.contact_loss_rate, 0, rates.contact_loss_rate)
+    store(point.film_power, 0, rates.film_power)
+
+
+@hot
+def keep_mesh_events(constants: np.record, state: np.record, point: np.record, teeth: Mesh) -> None:
+    """The flanks' gaps, and what would make the mesh pull."""
+    b1, b1_rate, flank = teeth.half_backlash, teeth.half_backlash_rate, state.flank
+    upper, upper_rate = b1 - teeth.q, b1_rate - teeth.q_rate
+    lower, lower_rate = teeth.q + b1, teeth.q_rate + b1_rate
+    clamp = 1.0
+    if flank > 0.0:
+        upper, upper_rate, lower, lower_rate = -upper, -upper_rate, 1.0, 0.0
+    elif flank < 0.0:
+        upper, upper_rate, lower, lower_rate = 1.0, 0.0, -lower, -lower_rate
+    if constants.contact_damping and flank != 0.0:
+        push = teeth.stiffness * teeth.approach + constants.damping * (teeth.q_rate - flank * b1_rate)
+        clamp = flank * (1.0 - 2.0 * state.mesh_clamped) * push
+    point.value[UPPER_GAP], point.value[LOWER_GAP], point.value[MESH_CLAMP] = upper, lower, clamp
+    point.rate[UPPER_GAP], point.rate[LOWER_GAP] = upper_rate, lower_rate
+
+
+@hot
+def moved(constants: np.record, start: Motion, h: float, drift: Motion, rates: Rates) -> Motion:
+    """``start`` after ``h`` s at the speeds of ``drift`` and the accelerations of ``rates``."""
+    return Motion(
+        start.x + h * drift.vx,
+        start.y + h * drift.vy,
+        start.u + h * u_rate(constants, drift.omega),
+        start.vx + h * rates.ax,
+        start.vy + h * rates.ay,
+        start.omega + h * rates.alpha,
+    )
+
+
+@hot
+def u_rate(constants: np.record, omega: Pair) -> float:
+    """Rate of u, or of its rate, from those of the shaft angles."""
+    value: float = constants.base_radius[0] * omega[0] - constants.base_radius[1] * omega[1]
+    return value
+
+
+@hot
+def rates_at(point: np.record) -> Rates:
+    """Rates as ``evaluate`` left them."""
+    return Rates(
+        load2(point.ax, 0),
+        load2(point.ay, 0),
+        load2(point.alpha, 0),
+        point.mesh_force,
+        point.shaft_power,
+        point.excitation_power,
+        point.mesh_loss_rate,
+        load2(point.contact_loss_rate, 0),
+        load2(point.film_power, 0),
+    )
+
+
+@compiled
+def try_step(
+    constants: np.record, state: np.record, here: np.record, end: np.record, h: float, reference_speed: float
 ) -> None:
-    """``dynamics`` at row ``s`` of ``states``, all of it kept in row ``p`` of ``points``."""
-    acceleration, force, mesh, shown, bearing1, bearing2 = dynamics(
-        constants, speed, load, states, s, flags, excs, e_row, lag
+    """Classic RK4 over ``h`` from ``here`` to ``end`` with frozen flags, in Nystrom's form.
+
+    ``end`` brings its excitations and those of the middle, for a phase that moves at ``reference_speed``; the
+    stages lie close to these phases and take the difference by Taylor's series.
+    """
+    half, third, sixth = 0.5 * h, h / 3.0, h / 6.0
+    teeth = 0.0 if constants.nominal_phase else constants.teeth1
+    start, first = motion_at(here), rates_at(here)
+
+    motion2 = moved(constants, start, half, start, first)
+    lag = teeth * half * (start.omega[0] - reference_speed)
+    second, _, _, _, _ = dynamics(constants, state, motion2, end.middle, lag)
+
+    motion3 = moved(constants, start, half, motion2, second)
+    lag = teeth * half * (motion2.omega[0] - reference_speed)
+    third_rates, _, _, _, _ = dynamics(constants, state, motion3, end.middle, lag)
+
+    motion4 = moved(constants, start, h, motion3, third_rates)
+    lag = teeth * h * (motion3.omega[0] - reference_speed)
+    fourth, _, _, _, _ = dynamics(constants, state, motion4, end.excitation, lag)
+
+    # Positions need k1 + k2 + k3 of the accelerations, speeds k1 + 2 k2 + 2 k3 + k4.
+    ax, ay, alpha = second.ax + third_rates.ax, second.ay + third_rates.ay, second.alpha + third_rates.alpha
+    turned = start.omega + sixth * (first.alpha + alpha)
+    store(end.x, 0, start.x + h * (start.vx + sixth * (first.ax + ax)))
+    store(end.y, 0, start.y + h * (start.vy + sixth * (first.ay + ay)))
+    end.u = start.u + h * u_rate(constants, turned)
+    end.theta1 = here.theta1 + h * turned[0]
+    store(end.vx, 0, start.vx + (sixth * (first.ax + fourth.ax) + third * ax))
+    store(end.vy, 0, start.vy + (sixth * (first.ay + fourth.ay) + third * ay))
+    store(end.omega, 0, start.omega + (sixth * (first.alpha + fourth.alpha) + third * alpha))
+    end.mesh_impulse = here.mesh_impulse + (
+        sixth * (first.force + fourth.force) + third * (second.force + third_rates.force)
     )
-    for i in range(6):
-        points[p, AX1 + i] = acceleration[i]
-    points[p, MESH_FORCE] = force
-    points[p, VALUE + UPPER_GAP], points[p, RATE + UPPER_GAP] = mesh[0], mesh[1]
-    points[p, VALUE + LOWER_GAP], points[p, RATE + LOWER_GAP] = mesh[2], mesh[3]
-    points[p, VALUE + MESH_CLAMP] = mesh[4]
-    points[p, Q], points[p, Q_RATE], points[p, TAN_ALPHA] = shown[0], shown[1], shown[2]
-    points[p, HALF_BACKLASH], points[p, LOAD] = shown[3], shown[4]
-    keep_bearing(points, p, 0, bearing1)
-    keep_bearing(points, p, 1, bearing2)
+    end.shaft_work = here.shaft_work + (
+        sixth * (first.shaft_power + fourth.shaft_power)
+        + third * (second.shaft_power + third_rates.shaft_power)
+    )
+    end.excitation_work = here.excitation_work + (
+        sixth * (first.excitation_power + fourth.excitation_power)
+        + third * (second.excitation_power + third_rates.excitation_power)
+    )
+    end.mesh_loss = here.mesh_loss + (
+        sixth * (first.mesh_loss_rate + fourth.mesh_loss_rate)
+        + third * (second.mesh_loss_rate + third_rates.mesh_loss_rate)
+    )
+    store(
+        end.contact_loss,
+        0,
+        load2(here.contact_loss, 0)
+        + (
+            sixth * (first.contact_loss_rate + fourth.contact_loss_rate)
+            + third * (second.contact_loss_rate + third_rates.contact_loss_rate)
+        ),
+    )
+    store(
+        end.film_work,
+        0,
+        load2(here.film_work, 0)
+        + (
+            sixth * (first.film_power + fourth.film_power)
+            + third * (second.film_power + third_rates.film_power)
+        ),
+    )
+    end.time = here.time + h
+    end.turn = TURNS_PER_RADIAN * end.theta1
+    if constants.nominal_phase:
+        end.turn = here.turn + TURNS_PER_RADIAN * h * state.speed
+    end.lag = teeth * h * (turned[0] - reference_speed)
+    evaluate(constants, state, end)
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
-def keep_bearing(points: Floats, p: int, gear: int, values: Bearing) -> None:
-    """Store what ``bearing`` returned."""
-    points[p, CONTACT_X + gear], points[p, CONTACT_Y + gear] = values[0], values[1]
-    points[p, FILM_X + gear], points[p, FILM_Y + gear] = values[2], values[3]
-    points[p, PENETRATION + gear], points[p, CLOSING + gear] = values[4], values[5]
-    points[p, VALUE + BEARING_GAP + gear], points[p, RATE + BEARING_GAP + gear] = values[6], values[7]
-    points[p, VALUE + BEARING_CLAMP + gear] = values[8]
-    points[p, VALUE + FILM_LIMIT + gear], points[p, RATE + FILM_LIMIT + gear] = values[9], values[10]
-    points[p, DAMPING + gear] = values[11]
+@compiled
+def try_apart(
+    constants: np.record,
+    state: np.record,
+    here: np.record,
+    end: np.record,
+    waves: Pointer,
+    amplitudes: Pointer,
+    h: float,
+) -> None:
+    """``try_step`` off the grid of whole steps: the excitations are evaluated where it leads."""
+    speed = state.speed if constants.nominal_phase else here.omega[0]
+    quarter = 0.5 * h * speed * TURNS_PER_RADIAN
+    excite(constants, state, waves, amplitudes, here.turn + quarter, pointer(end.middle))
+    excite(constants, state, waves, amplitudes, here.turn + 2.0 * quarter, pointer(end.excitation))
+    try_step(constants, state, here, end, h, speed)
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def phase_turn(constants: np.record, turns: int, turn: float) -> float:
-    """Fraction of the hunting cycle at ``turns`` whole and ``turn`` further turns of gear 1."""
-    fraction: float = (turns + turn) / constants.hunting
+@compiled
+def excite(
+    constants: np.record,
+    state: np.record,
+    waves: Pointer,
+    amplitudes: Pointer,
+    turn: float,
+    excitation: Pointer,
+) -> None:
+    """Sum of all periodic excitations where gear 1 has turned by ``turn`` beyond the whole turns."""
+    set_waves(constants, waves, cycle_fraction(constants, state, turn), OTHER_COSINE, OTHER_SINE)
+    store(excitation, 0, sum_waves(constants, waves, amplitudes, OTHER_COSINE, OTHER_SINE))
+
+
+@hot
+def cycle_fraction(constants: np.record, state: np.record, turn: float) -> float:
+    """Fraction of the hunting cycle at ``turn`` turns beyond the whole ones."""
+    fraction: float = (state.turn + turn) / constants.hunting
     return fraction
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
-def rates(constants: np.record, states: Floats, row: int) -> Rates:
-    """Rates of (x1, y1, x2, y2, u, theta1) at ``row``."""
-    return (
-        states[row, VX1],
-        states[row, VY1],
-        states[row, VX2],
-        states[row, VY2],
-        constants.base_radius1 * states[row, OMEGA1] - constants.base_radius2 * states[row, OMEGA2],
-        states[row, OMEGA1],
-    )
-
-
-@njit(cache=True, fastmath={"contract"}, error_model="numpy", forceinline=True)
-def set_stage(states: Floats, h: float, rate: Rates, acceleration: Rates) -> None:
-    """END becomes HERE after ``h`` s of constant ``rate`` and ``acceleration``."""
-    states[END, X1] = states[HERE, X1] + h * rate[0]
-    states[END, Y1] = states[HERE, Y1] + h * rate[1]
-    states[END, X2] = states[HERE, X2] + h * rate[2]
-    states[END, Y2] = states[HERE, Y2] + h * rate[3]
-    states[END, U] = states[HERE, U] + h * rate[4]
-    states[END, THETA1] = states[HERE, THETA1] + h * rate[5]
-    states[END, VX1] = states[HERE, VX1] + h * acceleration[AX1]
-    states[END, VY1] = states[HERE, VY1] + h * acceleration[AY1]
-    states[END, VX2] = states[HERE, VX2] + h * acceleration[AX2]
-    states[END, VY2] = states[HERE, VY2] + h * acceleration[AY2]
-    states[END, OMEGA1] = states[HERE, OMEGA1] + h * acceleration[ALPHA1]
-    states[END, OMEGA2] = states[HERE, OMEGA2] + h * acceleration[ALPHA2]
-
-
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def try_step(
-    constants: np.record,
-    speed: float,
-    load: float,
-    waves: Floats,
-    amplitudes: Floats,
-    states: Floats,
-    flags: Flags,
-    phase: float,
-    points: Floats,
-    excs: Floats,
-    h: float,
-) -> float:
-    """Classic RK4 over ``h`` from HERE to END with frozen flags, in Nystrom's form.
-
-    ``phase`` is the nominal turn at HERE. Fills row END of states, points and excitations and returns the lag
-    of the end state behind those excitations, in rad of mesh phase. They are summed at two phases a step; the
-    other stages lie within the square of the step of these and take them by Taylor's series.
-    """
-    turns = flags[TURN]
-    half = 0.5 * h
-    nominal = constants.nominal_phase
-    start = (
-        points[HERE, AX1],
-        points[HERE, AY1],
-        points[HERE, AX2],
-        points[HERE, AY2],
-        points[HERE, ALPHA1],
-        points[HERE, ALPHA2],
-    )
-    # Latched impact speeds change at HERE only, between trials.
-    states[END, IMPACT_SPEED] = states[HERE, IMPACT_SPEED]
-    states[END, IMPACT_SPEED + 1] = states[HERE, IMPACT_SPEED + 1]
-
-    rate = rates(constants, states, HERE)
-    set_stage(states, half, rate, start)
-    turn = phase + half * speed * TURNS_PER_RADIAN if nominal else states[END, THETA1] * TURNS_PER_RADIAN
-    excite(phase_turn(constants, turns, turn), waves, amplitudes, excs, MIDDLE)
-    middle, force_middle, _, _, _, _ = dynamics(constants, speed, load, states, END, flags, excs, MIDDLE, 0.0)
-
-    rate2 = rates(constants, states, END)
-    set_stage(states, half, rate2, middle)
-    lag = 0.0 if nominal else constants.teeth1 * half * (rate2[5] - rate[5])
-    late, force_late, _, _, _, _ = dynamics(constants, speed, load, states, END, flags, excs, MIDDLE, lag)
-
-    set_stage(states, h, rates(constants, states, END), late)
-    theta1 = states[END, THETA1]
-    turn = phase + h * speed * TURNS_PER_RADIAN if nominal else theta1 * TURNS_PER_RADIAN
-    excite(phase_turn(constants, turns, turn), waves, amplitudes, excs, END)
-    last, force_last, _, _, _, _ = dynamics(constants, speed, load, states, END, flags, excs, END, 0.0)
-
-    third, sixth = h / 3.0, h / 6.0
-    ax1, ay1, ax2, ay2, alpha1, alpha2 = (
-        middle[AX1] + late[AX1],
-        middle[AY1] + late[AY1],
-        middle[AX2] + late[AX2],
-        middle[AY2] + late[AY2],
-        middle[ALPHA1] + late[ALPHA1],
-        middle[ALPHA2] + late[ALPHA2],
-    )
-    # Positions need k1 + k2 + k3 of the accelerations, speeds k1 + 2 k2 + 2 k3 + k4.
-    drift = (
-        start[AX1] + ax1,
-        start[AY1] + ay1,
-        start[AX2] + ax2,
-        start[AY2] + ay2,
-        constants.base_radius1 * (start[ALPHA1] + alpha1) - constants.base_radius2 * (start[ALPHA2] + alpha2),
-        start[ALPHA1] + alpha1,
-    )
-    for i in range(6):
-        states[END, i] = states[HERE, i] + h * (rate[i] + sixth * drift[i])
-    states[END, VX1] = states[HERE, VX1] + sixth * (start[AX1] + last[AX1]) + third * ax1
-    states[END, VY1] = states[HERE, VY1] + sixth * (start[AY1] + last[AY1]) + third * ay1
-    states[END, VX2] = states[HERE, VX2] + sixth * (start[AX2] + last[AX2]) + third * ax2
-    states[END, VY2] = states[HERE, VY2] + sixth * (start[AY2] + last[AY2]) + third * ay2
-    states[END, OMEGA1] = states[HERE, OMEGA1] + sixth * (start[ALPHA1] + last[ALPHA1]) + third * alpha1
-    states[END, OMEGA2] = states[HERE, OMEGA2] + sixth * (start[ALPHA2] + last[ALPHA2]) + third * alpha2
-    states[END, MESH_IMPULSE] = (
-        states[HERE, MESH_IMPULSE]
-        + sixth * (points[HERE, MESH_FORCE] + force_last)
-        + third * (force_middle + force_late)
-    )
-    lag = 0.0 if nominal else constants.teeth1 * (states[END, THETA1] - theta1)
-    evaluate(constants, speed, load, states, END, flags, excs, END, lag, points, END)
-    return lag
-
-
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+@compiled
 def hermite_root(v0: float, r0: float, v1: float, r1: float) -> float:
     """Root in (0, 1) of the cubic with values v0 > 0 > v1 and slopes r0, r1 per unit of the bracket."""
     low, high = 0.0, 1.0
@@ -647,30 +860,30 @@ def hermite_root(v0: float, r0: float, v1: float, r1: float) -> float:
     return s
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+@compiled
 def has_rate(event: int) -> bool:
     """Whether the rate of ``event`` is known: clamps have none, it would need accelerations."""
-    return event != MESH_CLAMP and event != BEARING_CLAMP and event != BEARING_CLAMP + 1
+    return event < MESH_CLAMP or event >= FILM_LIMIT
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+@compiled
 def event_tolerance(event: int) -> float:
     """How close to zero ``event`` is located, relative to the change of its value."""
     return GAP_TOLERANCE if has_rate(event) else CLAMP_TOLERANCE
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def first_violated(points: Floats, h: float) -> int:
-    """The event that seems to come first of those whose value is negative at END, or -1."""
+@compiled
+def first_violated(here: np.record, end: np.record, h: float) -> int:
+    """The event that seems to come first of those whose value is negative at the end, or -1."""
     first, earliest = -1, 2.0
     for event in range(EVENT_COUNT):
-        v1 = points[END, VALUE + event]
+        v1 = end.value[event]
         if v1 < 0.0:
-            v0 = points[HERE, VALUE + event]
+            v0 = here.value[event]
             at = 0.0
             if v0 > 0.0:
                 if has_rate(event):
-                    at = hermite_root(v0, h * points[HERE, RATE + event], v1, h * points[END, RATE + event])
+                    at = hermite_root(v0, h * here.rate[event], v1, h * end.rate[event])
                 else:
                     at = v0 / (v0 - v1)
             if at < earliest:
@@ -678,16 +891,16 @@ def first_violated(points: Floats, h: float) -> int:
     return first
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def grazing_fraction(points: Floats, h: float) -> float:
+@compiled
+def grazing_fraction(here: np.record, end: np.record, h: float) -> float:
     """Fraction of the step at which a gap seems to close and open again, or 0.
 
     Looks at gaps that are open at both ends but close at the start and open at the end.
     """
-    for event in (UPPER_GAP, LOWER_GAP, BEARING_GAP, BEARING_GAP + 1):
-        v0, r0 = points[HERE, VALUE + event], h * points[HERE, RATE + event]
+    for event in range(GAP_COUNT):
+        v0, r0 = here.value[event], h * here.rate[event]
         if v0 > 0.0 and v0 + r0 < 0.0:
-            v1, r1 = points[END, VALUE + event], h * points[END, RATE + event]
+            v1, r1 = end.value[event], h * end.rate[event]
             if r1 > 0.0:
                 c2 = 3.0 * (v1 - v0) - 2.0 * r0 - r1
                 c3 = 2.0 * (v0 - v1) + r0 + r1
@@ -703,33 +916,56 @@ def grazing_fraction(points: Floats, h: float) -> float:
     return 0.0
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def flip(constants: np.record, event: int, states: Floats, flags: Flags, points: Floats) -> None:
-    """Change the flag that ``event`` stands for; a bearing contact that begins latches its speed."""
-    if event <= LOWER_GAP:
-        side = 1 if event == UPPER_GAP else -1
-        flags[FLANK] = side if flags[FLANK] == 0 else 0
-        flags[MESH_CLAMPED] = 0
-        flags[FLANK_CHANGES] += 1
+@compiled
+def flip(constants: np.record, event: int, state: np.record, here: np.record, impacts: Pointer) -> None:
+    """Change the flag that ``event`` stands for."""
+    if event == UPPER_GAP or event == LOWER_GAP:
+        side = 1.0 if event == UPPER_GAP else -1.0
+        state.flank = side if state.flank == 0.0 else 0.0
+        state.mesh_clamped = 0.0
+        state.flank_changes += 1
     elif event == MESH_CLAMP:
-        flags[MESH_CLAMPED] = 1 - flags[MESH_CLAMPED]
-    elif event < BEARING_CLAMP:
+        state.mesh_clamped = 1.0 - state.mesh_clamped
+    elif event < MESH_CLAMP:
         gear = event - BEARING_GAP
-        flags[CLAMPED + gear] = 0
-        flags[CONTACT + gear] = 1 - flags[CONTACT + gear]
-        if flags[CONTACT + gear] == 1:
-            states[HERE, IMPACT_SPEED + gear] = max(
-                points[HERE, CLOSING + gear], constants.minimum_impact_speed
-            )
-            flags[IMPACTS] += 1
+        state.clamped[gear] = 0.0
+        if state.contact[gear] == 0.0:
+            begin_contact(constants, gear, state, here)
+        else:
+            end_contact(gear, state, here, impacts)
     elif event < FILM_LIMIT:
-        flags[CLAMPED + event - BEARING_CLAMP] = 1 - flags[CLAMPED + event - BEARING_CLAMP]
+        state.clamped[event - BEARING_CLAMP] = 1.0 - state.clamped[event - BEARING_CLAMP]
     else:
-        flags[STARVED + event - FILM_LIMIT] = 1 - flags[STARVED + event - FILM_LIMIT]
-    flags[EVENTS] += 1
+        state.starved[event - FILM_LIMIT] = 1.0 - state.starved[event - FILM_LIMIT]
+    state.events += 1
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+@compiled
+def begin_contact(constants: np.record, gear: int, state: np.record, here: np.record) -> None:
+    """A bearing contact begins and latches its speed."""
+    state.contact[gear] = 1.0
+    state.impact_speed[gear] = max(here.closing[gear], constants.minimum_impact_speed)
+    state.approach[gear] = here.closing[gear]
+    state.impact_time[gear] = here.time
+    state.peak_force2[gear] = 0.0
+    state.impacts += 1
+
+
+@compiled
+def end_contact(gear: int, state: np.record, here: np.record, impacts: Pointer) -> None:
+    """A bearing contact ends and enters the list: IMPACT_COLUMNS."""
+    state.contact[gear] = 0.0
+    at = IMPACT_SIZE * state.listed
+    impacts[at + 0] = state.impact_time[gear]
+    impacts[at + 1] = here.time
+    impacts[at + 2] = gear
+    impacts[at + 3] = state.approach[gear]
+    impacts[at + 4] = -here.closing[gear]
+    impacts[at + 5] = math.sqrt(state.peak_force2[gear])
+    state.listed += 1
+
+
+@compiled
 def settled_with(event: int) -> int:
     """Bits of the events that one stop decides together with ``event``: itself, and of a gap its clamp.
 
@@ -737,444 +973,513 @@ def settled_with(event: int) -> int:
     would say on which side of the clamp the state lies.
     """
     bits = 1 << event
-    if event <= LOWER_GAP:
+    if event == UPPER_GAP or event == LOWER_GAP:
         bits |= 1 << MESH_CLAMP
-    elif event == BEARING_GAP or event == BEARING_GAP + 1:
+    elif event < MESH_CLAMP:
         bits |= 1 << (event - BEARING_GAP + BEARING_CLAMP)
     return bits
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def settle(
-    constants: np.record,
-    speed: float,
-    load: float,
-    event: int,
-    states: Floats,
-    flags: Flags,
-    excs: Floats,
-    lag: float,
-    points: Floats,
-) -> None:
-    """Flip ``event`` at HERE and, as events fall together, every other one that is past its surface."""
-    flip(constants, event, states, flags, points)
+@compiled
+def settle(constants: np.record, event: int, state: np.record, here: np.record, impacts: Pointer) -> None:
+    """Flip ``event`` and, as events fall together, every other one that is past its surface."""
+    flip(constants, event, state, here, impacts)
     flipped = settled_with(event)
     for _ in range(EVENT_COUNT):
-        evaluate(constants, speed, load, states, HERE, flags, excs, HERE, lag, points, HERE)
+        reevaluate(constants, state, here)
         following = -1
         for other in range(EVENT_COUNT):
-            value, change = points[HERE, VALUE + other], points[HERE, RATE + other]
+            value, change = here.value[other], here.rate[other]
             # What an earlier stop of this step flipped may still be short of its surface, on its way there.
             if value <= 0.0 and change < 0.0 and not (flipped >> other) & 1:
                 following = other
                 break
         if following < 0:
             return
-        flip(constants, following, states, flags, points)
+        flip(constants, following, state, here, impacts)
         flipped |= settled_with(following)
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+@compiled
+def reevaluate(constants: np.record, state: np.record, here: np.record) -> None:
+    """``evaluate``, kept apart so that a rare call does not swell its caller."""
+    evaluate(constants, state, here)
+
+
+@compiled
 def locate(
     constants: np.record,
-    speed: float,
-    load: float,
-    waves: Floats,
-    amplitudes: Floats,
-    states: Floats,
-    flags: Flags,
-    phase: float,
-    points: Floats,
-    excs: Floats,
+    state: np.record,
+    here: np.record,
+    end: np.record,
+    low_end: np.record,
+    waves: Pointer,
+    amplitudes: Pointer,
     h: float,
     event: int,
-) -> tuple[float, int, float, int]:
-    """Shorten the step ``h`` until it ends on the first event; returns (h, event, lag at END, capped).
+) -> tuple[float, int, int]:
+    """Shorten the trial step ``h`` from ``here`` to ``end`` to the first event in it, ``event`` or one before.
 
-    ``event`` is positive at HERE and negative at END on entry. Steps are tried at the root of the cubic
-    through both ends of the bracket (of the secant, weighted after Illinois, where no rate is known). A
-    second event that turns out to come earlier takes over.
+    ``event`` is positive at ``here``, negative at ``end``. Each trial is a step of its own; the next one is at the
+    root of a cubic through values and rates of the bracket, or for clamps where the Illinois secant falls.
+    Returns (shortened step, event, 1 if the search met its limit of trials).
     """
+    copy(here, low_end)
     low, high = 0.0, h
-    points[LOW, :] = points[HERE, :]
-    v_high, r_high = points[END, VALUE + event], points[END, RATE + event]
-    tolerance = event_tolerance(event) * (points[HERE, VALUE + event] - v_high)
+    v_high, r_high = end.value[event], end.rate[event]
+    tolerance = event_tolerance(event) * (low_end.value[event] - v_high)
     weight_low, weight_high, side = 1.0, 1.0, 0
-    at, lag_end = h, 0.0
+    at = h
     for _ in range(SEARCH_LIMIT):
-        v_low, width = points[LOW, VALUE + event], high - low
+        v_low, width = low_end.value[event], high - low
         if has_rate(event):
-            fraction = hermite_root(v_low, width * points[LOW, RATE + event], v_high, width * r_high)
+            fraction = hermite_root(v_low, width * low_end.rate[event], v_high, width * r_high)
         else:
             fraction = weight_low * v_low / (weight_low * v_low - weight_high * v_high)
         at = low + fraction * width
         if not (low < at < high):
             at = 0.5 * (low + high)
-        lag_end = try_step(constants, speed, load, waves, amplitudes, states, flags, phase, points, excs, at)
+        try_apart(constants, state, here, end, waves, amplitudes, at)
         earlier = -1
         for other in range(EVENT_COUNT):
-            v0, v1 = points[LOW, VALUE + other], points[END, VALUE + other]
+            v0, v1 = low_end.value[other], end.value[other]
             if other != event and v0 > 0.0 and v1 < -event_tolerance(other) * (v0 - v1):
                 earlier = other
-        value = points[END, VALUE + (event if earlier < 0 else earlier)]
+        value = end.value[event if earlier < 0 else earlier]
         if earlier >= 0:
             event, high = earlier, at
-            v_high, r_high = value, points[END, RATE + event]
-            tolerance = event_tolerance(event) * (points[LOW, VALUE + event] - value)
+            v_high, r_high = value, end.rate[event]
+            tolerance = event_tolerance(event) * (low_end.value[event] - value)
             weight_low, weight_high, side = 1.0, 1.0, 0
         elif abs(value) <= tolerance or width <= 1e-12 * h:
-            return at, event, lag_end, 0
+            return at, event, 0
         elif value < 0.0:
-            high, v_high, r_high = at, value, points[END, RATE + event]
+            high, v_high, r_high = at, value, end.rate[event]
             weight_high = 1.0
             weight_low = 0.5 * weight_low if side == -1 else 1.0
             side = -1
         else:
             low = at
-            points[LOW, :] = points[END, :]
+            copy(end, low_end)
             weight_low = 1.0
             weight_high = 0.5 * weight_high if side == 1 else 1.0
             side = 1
-    return at, event, lag_end, 1
+    return at, event, 1
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+@compiled
 def split_step(
     constants: np.record,
-    speed: float,
-    load: float,
-    waves: Floats,
-    amplitudes: Floats,
-    states: Floats,
-    flags: Flags,
-    points: Floats,
-    excs: Floats,
-    lag_end: float,
+    state: np.record,
+    here: np.record,
+    end: np.record,
+    low_end: np.record,
+    waves: Pointer,
+    amplitudes: Pointer,
+    impacts: Pointer,
     longest: float,
 ) -> None:
-    """One step in substeps of at most ``longest``, split at every event.
+    """One step in substeps of at most ``longest``, split at every event; it ends in ``here``.
 
-    Starts from a first trial of ``longest``, at END with ``lag_end``. Searches that met their limit are
-    counted in CAPPED.
+    Starts from a first trial of ``longest``, at ``end``. Searches that met their limit are counted as capped.
     """
     step = constants.step
-    phase = states[HERE, NOMINAL_TURN]
     done, h, stops = 0.0, longest, 0
     tried = True
-    contacts = flags[CONTACT] + flags[CONTACT + 1]
+    contacts = state.contact[0] + state.contact[1]
     while True:
         if not tried:
-            lag_end = try_step(
-                constants, speed, load, waves, amplitudes, states, flags, phase, points, excs, h
-            )
+            try_apart(constants, state, here, end, waves, amplitudes, h)
         tried = False
         event = -1
         if stops < STOPS_PER_STEP:
-            event = first_violated(points, h)
+            event = first_violated(here, end, h)
             if event < 0:
-                fraction = grazing_fraction(points, h)
+                fraction = grazing_fraction(here, end, h)
                 if fraction > SHORTEST_SUBSTEP:
                     h *= fraction
                     stops += 1
                     continue
-            elif points[HERE, VALUE + event] > 0.0:
-                h, event, lag_end, capped = locate(
-                    constants, speed, load, waves, amplitudes, states, flags, phase, points, excs, h, event
+            elif here.value[event] > 0.0:
+                h, event, capped = locate(
+                    constants, state, here, end, low_end, waves, amplitudes, h, event
                 )
-                flags[CAPPED] += capped
+                state.capped += capped
                 stops += 1
             elif h > SHORTEST_SUBSTEP * step:
                 # Just flipped, yet past its surface at the end: look for a point before that.
                 h *= 0.5
                 continue
             else:
-                flags[CAPPED] += 1
+                state.capped += 1
                 stops += 1
             if stops == STOPS_PER_STEP:
-                flags[CAPPED] += 1
-        note_clamp_rates(points, h)
-        accept(states, points, excs)
+                state.capped += 1
+        note_clamp_rates(here, end, h)
+        copy(end, here)
+        note_peak(state, here)
         done += h
-        phase += h * speed * TURNS_PER_RADIAN
         if event >= 0:
-            settle(constants, speed, load, event, states, flags, excs, lag_end, points)
+            settle(constants, event, state, here, impacts)
         h = step - done
         if h <= SHORTEST_SUBSTEP * step:
             break
         h = min(h, longest)
-        begun = flags[CONTACT] + flags[CONTACT + 1] > contacts
-        contacts = flags[CONTACT] + flags[CONTACT + 1]
+        begun = state.contact[0] + state.contact[1] > contacts
+        contacts = state.contact[0] + state.contact[1]
         if begun:
             h *= ONSET_FRACTION
     if stops >= STOPS_PER_STEP:
         late = -1
         for event in range(EVENT_COUNT):
-            if points[HERE, VALUE + event] < 0.0:
+            if here.value[event] < 0.0:
                 late = event
         if late >= 0:
-            settle(constants, speed, load, late, states, flags, excs, lag_end, points)
+            settle(constants, late, state, here, impacts)
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def longest_substep(constants: np.record, points: Floats, flags: Flags) -> float:
-    """The step, halved until it bears the damping of the bearing contacts at HERE.
+@compiled
+def longest_substep(constants: np.record, state: np.record, here: np.record) -> float:
+    """The step, halved until it bears the damping of the bearing contacts at ``here``.
 
     A contact that began slowly has a damping coefficient, a k_h delta^1.5 / v_impact, without a bound:
     pressed in later it would overshoot its own resting point.
     """
-    rate = max(points[HERE, DAMPING] * constants.per_mass1, points[HERE, DAMPING + 1] * constants.per_mass2)
+    rate = max(here.damping[0] * constants.per_mass[0], here.damping[1] * constants.per_mass[1])
     step: float = constants.step
     substeps = 1.0
     while step * rate > STIFFNESS_LIMIT * substeps:
         substeps *= 2.0
         if substeps == SUBSTEPS_LIMIT:
-            flags[CAPPED] += 1
+            state.capped += 1
             break
     return step / substeps
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def note_clamp_rates(points: Floats, h: float) -> None:
+@compiled
+def note_clamp_rates(here: np.record, end: np.record, h: float) -> None:
     """The clamps' mean rates over the substep, in place of the rates that would need accelerations."""
-    for event in (MESH_CLAMP, BEARING_CLAMP, BEARING_CLAMP + 1):
-        points[END, RATE + event] = (points[END, VALUE + event] - points[HERE, VALUE + event]) / h
+    for event in range(MESH_CLAMP, FILM_LIMIT):
+        end.rate[event] = (end.value[event] - here.value[event]) / h
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def accept(states: Floats, points: Floats, excs: Floats) -> None:
-    """The end of the trial becomes the state."""
-    for i in range(MECHANICAL + 1):
-        states[HERE, i] = states[END, i]
-    for i in range(POINT_SIZE):
-        points[HERE, i] = points[END, i]
-    for i in range(EXCITATIONS):
-        excs[HERE, i] = excs[END, i]
+@hot
+def note_peak(state: np.record, here: np.record) -> None:
+    """Keep the greatest force of either bearing's contact."""
+    force_x, force_y = load2(here.contact_x, 0), load2(here.contact_y, 0)
+    store(state.peak_force2, 0, at_least(force_x * force_x + force_y * force_y, load2(state.peak_force2, 0)))
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def is_eventful(points: Floats, h: float) -> bool:
+@hot
+def is_eventful(here: np.record, end: np.record, h: float) -> bool:
     """Whether a surface was crossed over the trial step, or a gap may have closed and opened again."""
-    crossed = False
-    for event in range(EVENT_COUNT):
-        crossed |= points[END, VALUE + event] < 0.0
-    for event in (UPPER_GAP, LOWER_GAP, BEARING_GAP, BEARING_GAP + 1):
-        crossed |= points[HERE, VALUE + event] + h * points[HERE, RATE + event] < 0.0
-    return crossed
+    ahead = load4(here.value, 0) + h * load4(here.rate, 0)
+    return any_negative(load8(end.value, 0)) or end.value[EVENT_COUNT - 1] < 0.0 or any_negative(ahead)
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def wrap(constants: np.record, states: Floats, flags: Flags) -> None:
+@hot
+def wrap(constants: np.record, state: np.record, here: np.record) -> None:
     """Bring theta1 back to one revolution and count it; the phase counts modulo the hunting cycle."""
     revolutions = 0
-    if states[HERE, THETA1] >= TWO_PI:
-        states[HERE, THETA1] -= TWO_PI
+    if here.theta1 >= TWO_PI:
+        here.theta1 -= TWO_PI
         revolutions = 1
-    elif states[HERE, THETA1] < 0.0:
-        states[HERE, THETA1] += TWO_PI
+    elif here.theta1 < 0.0:
+        here.theta1 += TWO_PI
         revolutions = -1
     if revolutions != 0:
-        flags[REVOLUTIONS] += revolutions
+        state.revolutions += revolutions
         if not constants.nominal_phase:
-            flags[TURN] = (flags[TURN] + revolutions) % constants.hunting
+            state.turn = (state.turn + revolutions) % constants.hunting
+            here.turn = TURNS_PER_RADIAN * here.theta1
 
 
 @njit(cache=True, error_model="numpy")
-def advance_nominal(constants: np.record, speed: float, states: Floats, flags: Flags) -> None:
+def advance_nominal(constants: np.record, state: np.record, here: np.record) -> None:
     """One step of the nominal phase, without the drift of a plain sum (Kahan); must not be contracted."""
-    increment = speed * constants.step * TURNS_PER_RADIAN - states[HERE, NOMINAL_REST]
-    before = states[HERE, NOMINAL_TURN]
+    increment = state.speed * constants.step * TURNS_PER_RADIAN - state.nominal_rest
+    before = state.nominal_turn
     turn = before + increment
-    states[HERE, NOMINAL_REST] = (turn - before) - increment
+    state.nominal_rest = (turn - before) - increment
     if turn >= 1.0:
         turn -= 1.0
-        flags[TURN] = (flags[TURN] + 1) % constants.hunting
+        state.turn = (state.turn + 1) % constants.hunting
     elif turn < 0.0:
         turn += 1.0
-        flags[TURN] = (flags[TURN] - 1) % constants.hunting
-    states[HERE, NOMINAL_TURN] = turn
+        state.turn = (state.turn - 1) % constants.hunting
+    state.nominal_turn = turn
+    here.turn = turn
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def govern(constants: np.record, speed: float, states: Floats, interval: float) -> None:
+@compiled
+def govern(constants: np.record, state: np.record, here: np.record, interval: float) -> None:
     """PI governor, once a sample: T_M = clip(Kp err + I); I stands still while clipped."""
-    error = speed - states[HERE, OMEGA1]
-    wanted = constants.governor_proportional * error + states[HERE, GOVERNOR]
+    error = state.speed - here.omega[0]
+    wanted = constants.governor_proportional * error + state.governor
     limit = constants.governor_limit
-    states[HERE, DRIVE_TORQUE] = min(max(wanted, -limit), limit)
+    state.drive_torque = min(max(wanted, -limit), limit)
     if -limit <= wanted <= limit:
-        states[HERE, GOVERNOR] += constants.governor_integral * error * interval
+        state.governor += constants.governor_integral * error * interval
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+@compiled
 def write_sample(
-    constants: np.record,
-    time: float,
-    turn: float,
-    states: Floats,
-    flags: Flags,
-    points: Floats,
-    row: Floats,
-    angles: Floats,
+    constants: np.record, state: np.record, here: np.record, row: int, samples: Floats, angles: Floats
 ) -> None:
     """One row of CHANNELS and the accumulated angles of both shafts."""
-    row[0] = time
-    row[1] = points[HERE, Q]
-    row[2] = points[HERE, Q_RATE]
-    row[3] = points[HERE, MESH_FORCE]
-    row[4] = math.atan(points[HERE, TAN_ALPHA])
-    row[5] = math.atan2(
-        states[HERE, Y2] - states[HERE, Y1], constants.centre_distance + states[HERE, X2] - states[HERE, X1]
-    )
-    row[6] = points[HERE, HALF_BACKLASH]
-    row[7] = flags[FLANK]
-    for i in range(4):
-        row[8 + i] = states[HERE, X1 + i]
+    samples[row, 0] = here.time
+    samples[row, 1] = here.q
+    samples[row, 2] = here.q_rate
+    samples[row, 3] = here.mesh_force
+    samples[row, 4] = math.atan(here.tan_alpha)
+    samples[row, 5] = math.atan2(here.y[1] - here.y[0], constants.centre_distance + here.x[1] - here.x[0])
+    samples[row, 6] = here.half_backlash
+    samples[row, 7] = state.flank
     for gear in range(2):
-        row[12 + 2 * gear] = points[HERE, CONTACT_X + gear]
-        row[13 + 2 * gear] = points[HERE, CONTACT_Y + gear]
-        row[16 + 2 * gear] = points[HERE, FILM_X + gear]
-        row[17 + 2 * gear] = points[HERE, FILM_Y + gear]
-        row[20 + gear] = points[HERE, PENETRATION + gear]
-    row[22] = states[HERE, OMEGA1]
-    row[23] = states[HERE, OMEGA2]
-    row[24] = states[HERE, DRIVE_TORQUE]
-    row[25] = points[HERE, LOAD]
-    row[26] = states[HERE, THETA1]
-    mesh_turn = constants.teeth1 * turn
-    row[27] = TWO_PI * (mesh_turn - math.floor(mesh_turn))
-    angles[0] = TWO_PI * flags[REVOLUTIONS] + states[HERE, THETA1]
-    angles[1] = (constants.base_radius1 * angles[0] - states[HERE, U]) / constants.base_radius2
+        samples[row, 8 + 2 * gear] = here.x[gear]
+        samples[row, 9 + 2 * gear] = here.y[gear]
+        samples[row, 12 + 2 * gear] = here.contact_x[gear]
+        samples[row, 13 + 2 * gear] = here.contact_y[gear]
+        samples[row, 16 + 2 * gear] = here.film_x[gear]
+        samples[row, 17 + 2 * gear] = here.film_y[gear]
+        samples[row, 20 + gear] = here.penetration[gear]
+        samples[row, 22 + gear] = here.omega[gear]
+    samples[row, 24] = state.drive_torque
+    samples[row, 25] = here.load
+    samples[row, 26] = here.theta1
+    mesh_turn = constants.teeth1 * here.turn
+    samples[row, 27] = TWO_PI * (mesh_turn - math.floor(mesh_turn))
+    angles[row, 0] = TWO_PI * state.revolutions + here.theta1
+    angles[row, 1] = (constants.base_radius[0] * angles[row, 0] - here.u) / constants.base_radius[1]
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def open_point(
+@compiled
+def elastic_energy(constants: np.record, state: np.record, here: np.record, gear: int) -> float:
+    """Energy in the spring of one bearing's contact, N m: the integral of its elastic force."""
+    depth = here.penetration[gear]
+    if state.contact[gear] == 0.0 or depth <= 0.0:
+        return 0.0
+    if constants.kelvin:
+        energy: float = 0.5 * constants.kelvin_stiffness[gear] * depth * depth
+        return energy
+    clearance = constants.clearance[gear]
+    x = depth / clearance
+    factor = constants.hertz[gear] * clearance * clearance
+    if x < 0.05:
+        # Binomial series: the closed form below loses digits here.
+        term, total = 1.0, 0.0
+        for k in range(16):
+            total += term / (k + 2.5)
+            term *= -x * (k + 0.5) / (k + 1.0)
+        return factor * x * x * math.sqrt(x) * total
+    root = math.sqrt(x)
+    return factor * (0.25 * (2.0 * x - 3.0) * root * math.sqrt(1.0 + x) + 0.75 * math.asinh(root))
+
+
+@compiled
+def write_energies(
+    constants: np.record, state: np.record, here: np.record, row: int, energies: Floats
+) -> None:
+    """One row of ENERGIES."""
+    kinetic = 0.0
+    for gear in range(2):
+        kinetic += 0.5 * (here.vx[gear] ** 2 + here.vy[gear] ** 2) / constants.per_mass[gear]
+        kinetic += 0.5 * here.omega[gear] ** 2 / constants.per_inertia[gear]
+        energies[row, 3 + gear] = here.contact_loss[gear]
+        energies[row, 5 + gear] = here.film_work[gear]
+    energies[row, 0] = here.shaft_work
+    energies[row, 1] = here.excitation_work
+    energies[row, 2] = here.mesh_loss
+    stored = elastic_energy(constants, state, here, 0) + elastic_energy(constants, state, here, 1)
+    energies[row, 7] = kinetic
+    energies[row, 8] = stored + here.mesh_energy
+
+
+@compiled
+def refresh(
+    constants: np.record, state: np.record, here: np.record, waves: Pointer, speed: float
+) -> None:
+    """Waves on the grid afresh at ``here``, and their turn over half a step at ``speed``."""
+    set_waves(constants, waves, cycle_fraction(constants, state, here.turn), COSINE, SINE)
+    quarter = 0.5 * constants.step * speed * TURNS_PER_RADIAN / constants.hunting
+    set_waves(constants, waves, quarter, TURN_COSINE, TURN_SINE)
+
+
+@hot
+def step_on(
     constants: np.record,
-    speed: float,
-    load: float,
-    waves: Floats,
-    amplitudes: Floats,
-    states: Floats,
-    flags: Flags,
-    points: Floats,
-    excs: Floats,
-) -> float:
-    """Evaluate the state HERE afresh; returns the turn of gear 1 that sets the phase."""
-    turn: float = states[HERE, THETA1] * TURNS_PER_RADIAN
+    state: np.record,
+    here: np.record,
+    end: np.record,
+    low_end: np.record,
+    waves: Pointer,
+    amplitudes: Pointer,
+    impacts: Pointer,
+    reference_speed: float,
+) -> bool:
+    """One step; returns whether it ended at ``here`` after a detour, not at ``end``."""
+    step = constants.step
+    longest = longest_substep(constants, state, here)
+    turn_waves(constants, waves)
+    store(end.middle, 0, sum_waves(constants, waves, amplitudes, COSINE, SINE))
+    turn_waves(constants, waves)
+    store(end.excitation, 0, sum_waves(constants, waves, amplitudes, COSINE, SINE))
+    if longest == step:
+        try_step(constants, state, here, end, step, reference_speed)
+        if not is_eventful(here, end, step):
+            note_peak(state, end)
+            close_step(constants, state, end, waves, TURNS_PER_RADIAN * end.lag / constants.teeth1)
+            return False
+    else:
+        try_apart(constants, state, here, end, waves, amplitudes, longest)
+    grid_turn = here.turn + step * reference_speed * TURNS_PER_RADIAN
+    split_step(constants, state, here, end, low_end, waves, amplitudes, impacts, longest)
+    close_step(constants, state, here, waves, here.turn - grid_turn)
+    return True
+
+
+@hot
+def close_step(
+    constants: np.record, state: np.record, now: np.record, waves: Pointer, off_grid: float
+) -> None:
+    """What is due once a step; the state is ``off_grid`` turns ahead of the waves on the grid."""
+    wrap(constants, state, now)
     if constants.nominal_phase:
-        turn = states[HERE, NOMINAL_TURN]
-    excite(phase_turn(constants, flags[TURN], turn), waves, amplitudes, excs, HERE)
-    evaluate(constants, speed, load, states, HERE, flags, excs, HERE, 0.0, points, HERE)
-    return turn
+        advance_nominal(constants, state, now)
+    else:
+        nudge_waves(constants, waves, off_grid / constants.hunting)
+    state.steps += 1
+    if now.half_backlash <= 0.0:
+        state.pressed = 1
 
 
-@njit(cache=True, error_model="numpy")
-def make_work(y: Floats, orders: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Scratch of the integrator around the state ``y``: (states, points, excs, waves)."""
-    states = np.zeros((2, STATE_SIZE))
-    states[HERE, :] = y
-    states[END, :] = y
-    waves = np.zeros((3, orders.shape[0]))
-    waves[0, :] = orders
-    return states, np.zeros((ROWS, POINT_SIZE)), np.zeros((ROWS, EXCITATIONS)), waves
+@compiled
+def open_point(
+    constants: np.record, state: np.record, here: np.record, waves: Pointer, amplitudes: Pointer
+) -> None:
+    """Evaluate ``here`` afresh at the motion it holds, with the waves on the grid there."""
+    here.turn = TURNS_PER_RADIAN * here.theta1
+    speed = here.omega[0]
+    if constants.nominal_phase:
+        here.turn = state.nominal_turn
+        speed = state.speed
+    here.lag = 0.0
+    refresh(constants, state, here, waves, speed)
+    store(here.excitation, 0, sum_waves(constants, waves, amplitudes, COSINE, SINE))
+    evaluate(constants, state, here)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
+def copy_motion(source: np.record, target: np.record) -> None:
+    """Integrated values from a state to a point or back."""
+    for gear in range(2):
+        target.x[gear], target.y[gear] = source.x[gear], source.y[gear]
+        target.vx[gear], target.vy[gear] = source.vx[gear], source.vy[gear]
+        target.omega[gear] = source.omega[gear]
+        target.contact_loss[gear], target.film_work[gear] = source.contact_loss[gear], source.film_work[gear]
+    target.u, target.theta1 = source.u, source.theta1
+    target.mesh_impulse, target.shaft_work = source.mesh_impulse, source.shaft_work
+    target.excitation_work, target.mesh_loss = source.excitation_work, source.mesh_loss
+
+
+@compiled
 def touch(
-    constants: np.record,
-    commands: tuple[float, float],
-    orders: Floats,
-    amplitudes: Floats,
-    y: Floats,
-    flags: Flags,
+    constants: NDArray[Any], state: NDArray[Any], points: NDArray[Any], waves: Floats, amplitudes: Floats
 ) -> None:
     """Set u so that the drive flank just touches (q = b1), in contact if the gap is closing."""
-    speed, load = commands
-    flags[FLANK] = 0
-    y[U] = 0.0
-    states, points, excs, waves = make_work(y, orders)
-    open_point(constants, speed, load, waves, amplitudes, states, flags, points, excs)
-    y[U] = points[HERE, HALF_BACKLASH] - points[HERE, Q]
-    if points[HERE, RATE + UPPER_GAP] < 0.0:
-        flags[FLANK] = 1
+    state[0].flank = 0.0
+    state[0].u = 0.0
+    look(constants, state, points, waves, amplitudes)
+    here = points[HERE]
+    state[0].u = here.half_backlash - here.q
+    if here.rate[UPPER_GAP] < 0.0:
+        state[0].flank = 1.0
 
 
-@njit(cache=True, error_model="numpy")
-def accelerations(
-    constants: np.record,
-    commands: tuple[float, float],
-    orders: Floats,
-    amplitudes: Floats,
-    y: Floats,
-    flags: Flags,
-) -> Floats:
-    """Accelerations (x1, y1, x2, y2 in m/s^2; omega1, omega2 in rad/s^2) at ``y`` with ``flags`` frozen."""
-    speed, load = commands
-    states, points, excs, waves = make_work(y, orders)
-    open_point(constants, speed, load, waves, amplitudes, states, flags, points, excs)
-    return points[HERE, :6].copy()
+@compiled
+def look(
+    constants: NDArray[Any], state: NDArray[Any], points: NDArray[Any], waves: Floats, amplitudes: Floats
+) -> None:
+    """Evaluate the state, flags frozen, into the point HERE."""
+    here = points[HERE]
+    copy_motion(state[0], here)
+    open_point(constants[0], state[0], here, pointer(waves), pointer(amplitudes))
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
 def run(
-    constants: np.record,
-    commands: tuple[float, float],
-    orders: Floats,
-    amplitudes: Floats,
-    y: Floats,
-    flags: Flags,
+    all_constants: NDArray[Any],
+    all_state: NDArray[Any],
+    points: NDArray[Any],
+    wave_rows: Floats,
+    amplitude_rows: Floats,
     first_sample: int,
     interval_ns: int,
     samples: Floats,
     angles: Floats,
+    energies: Floats,
+    impact_rows: Floats,
 ) -> tuple[int, int]:
     """Integrate and sample: row k of ``samples`` (n, 28) and ``angles`` (n, 2) is the state before its steps.
 
-    ``commands`` (speed, load torque). Changes ``y`` and ``flags`` in place; returns (rows written, status).
-    On OVER_SPEED and CENTRES_PRESSED the last row is the state that broke the limit; a NON_FINITE state is
-    not written.
+    ``energies`` takes as many rows of ENERGIES as it has; ``impact_rows`` takes the bearing contacts that end,
+    ``state.listed`` of them, and the run halts early where it might overflow. Changes the state in place;
+    returns (rows written, status). On OVER_SPEED and CENTRES_PRESSED the last row is the state that broke the
+    limit; a NON_FINITE state is not written.
     """
-    speed, load = commands
+    # Arrays of one record, and pointers: a record by itself is slow to hand over from Python, and numba counts
+    # references to arrays at every call.
+    constants, state = all_constants[0], all_state[0]
+    here, end, low_end = points[HERE], points[END], points[LOW]
+    waves, amplitudes, impacts = pointer(wave_rows), pointer(amplitude_rows), pointer(impact_rows)
     n = samples.shape[0]
-    states, points, excs, waves = make_work(y, orders)
     limit, step = constants.speed_limit, constants.step
     interval = step * constants.steps_per_sample
+    most_impacts = STOPS_PER_STEP * constants.steps_per_sample
     written, status = n, RUNNING
+    copy_motion(state, here)
+    state.listed = 0
     for row in range(n):
+        if state.listed + most_impacts > impact_rows.shape[0]:
+            written = row
+            break
         if constants.governed:
-            govern(constants, speed, states, interval)
-            states[END, DRIVE_TORQUE] = states[HERE, DRIVE_TORQUE]
-        turn = open_point(constants, speed, load, waves, amplitudes, states, flags, points, excs)
-        total = 0.0
-        for i in range(MECHANICAL):
-            total += states[HERE, i] + points[HERE, AX1 + i % 6]
-        if not math.isfinite(total):
+            govern(constants, state, here, interval)
+        time = (first_sample + row) * interval_ns / 1e9
+        here.time = time
+        open_point(constants, state, here, waves, amplitudes)
+        speed = state.speed if constants.nominal_phase else here.omega[0]
+        if not is_finite(here):
             written, status = row, NON_FINITE
             break
-        time = (first_sample + row) * interval_ns / 1e9
-        write_sample(constants, time, turn, states, flags, points, samples[row], angles[row])
-        if abs(states[HERE, OMEGA1]) > limit or abs(states[HERE, OMEGA2]) > limit:
+        write_sample(constants, state, here, row, samples, angles)
+        if row < energies.shape[0]:
+            write_energies(constants, state, here, row, energies)
+        if abs(here.omega[0]) > limit or abs(here.omega[1]) > limit:
             written, status = row + 1, OVER_SPEED
             break
-        if points[HERE, HALF_BACKLASH] <= 0.0 or flags[PRESSED] == 1:
+        if here.half_backlash <= 0.0 or state.pressed == 1:
             written, status = row + 1, CENTRES_PRESSED
             break
-        for _ in range(constants.steps_per_sample):
-            phase = states[HERE, NOMINAL_TURN]
-            longest = longest_substep(constants, points, flags)
-            lag = try_step(
-                constants, speed, load, waves, amplitudes, states, flags, phase, points, excs, longest
+        for k in range(constants.steps_per_sample):
+            here.time = time + k * step
+            if k > 0 and k % REFRESH_STEPS == 0:
+                speed = state.speed if constants.nominal_phase else here.omega[0]
+                refresh(constants, state, here, waves, speed)
+            detour = step_on(
+                constants, state, here, end, low_end, waves, amplitudes, impacts, speed
             )
-            if longest < step or is_eventful(points, step):
-                split_step(
-                    constants, speed, load, waves, amplitudes, states, flags, points, excs, lag, longest
-                )
-            else:
-                accept(states, points, excs)
-            wrap(constants, states, flags)
-            if constants.nominal_phase:
-                advance_nominal(constants, speed, states, flags)
-            flags[STEPS] += 1
-            if points[HERE, HALF_BACKLASH] <= 0.0:
-                flags[PRESSED] = 1
-    y[:] = states[HERE, :]
+            if not detour:
+                here, end = end, here
+    copy_motion(here, state)
     return written, status
+
+
+@compiled
+def is_finite(here: np.record) -> bool:
+    """Whether motion and accelerations are finite."""
+    total = here.u + here.theta1
+    for gear in range(2):
+        total += here.x[gear] + here.y[gear] + here.vx[gear] + here.vy[gear] + here.omega[gear]
+        total += here.ax[gear] + here.ay[gear] + here.alpha[gear]
+    return math.isfinite(total)
