@@ -11,9 +11,10 @@ import numpy as np
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics import derived, kernel
-from gear_dynamics_ros.signals import CHANNELS, Chunk, Commands, Counters, Status
+from gear_dynamics_ros.signals import CHANNELS, COLUMN, ENERGIES, IMPACTS, Chunk, Commands, Counters, Status
 
 CHECKPOINT_FORMAT = 2
+IMPACTS_A_CALL = 256
 
 
 def kernel_hash() -> str:
@@ -29,6 +30,10 @@ class Engine:
         self._excitations = derived.excitations(parameters)
         self._constants = derived.constants(parameters, self._excitations)
         self._interval_ns = parameters.solver.sample_interval_ns
+        wanted = max(COLUMN[name] for name in parameters.waveform_channels)
+        self._columns = len(CHANNELS) if wanted < len(CHANNELS) else len(COLUMN)
+        most_a_sample = kernel.STOPS_PER_STEP * parameters.solver.steps_per_sample
+        self._impacts = np.empty((most_a_sample + IMPACTS_A_CALL, len(IMPACTS)))
         self.sample = 0
         self.reset()
 
@@ -37,8 +42,8 @@ class Engine:
         operation = self.parameters.operation
         self.commands = Commands(operation.drive_torque, operation.load_torque, operation.speed)
         self.status = Status.RUNNING
-        self._points = np.zeros(3, dtype=kernel.POINT)
-        self._state = np.zeros(1, dtype=kernel.STATE)
+        self._points = derived.aligned_zeros((3,), kernel.POINT)
+        self._state = derived.aligned_zeros((1,), kernel.STATE)
         state = self._state
         if operation.initial == "touching":
             r1, r2 = self._constants["base_radius"][0]
@@ -64,23 +69,29 @@ class Engine:
         if self.status is not Status.RUNNING:
             raise GearboxError(f"the run has ended ({self._reason()}); reset it to go on")
         count = self.parameters.solver.samples_per_chunk if samples is None else samples
-        rows = np.empty((count, len(CHANNELS)))
+        rows = np.empty((count, self._columns))
         angles = np.empty((count, 2))
-        energies = np.empty((0, 9))
-        impacts = np.empty((4096, 6))
-        first = self.sample
-        written, status = kernel.run(
-            self._constants,
-            self._state,
-            self._points,
-            *self._excitations,
-            first,
-            self._interval_ns,
-            rows,
-            angles,
-            energies,
-            impacts,
-        )
+        energies = np.empty((1, len(ENERGIES)))
+        impacts = []
+        first, written = self.sample, 0
+        # A call ends early, at a sample, where its room for impacts might not suffice.
+        while True:
+            done, status = kernel.run(
+                self._constants,
+                self._state,
+                self._points,
+                *self._excitations,
+                first + written,
+                self._interval_ns,
+                rows[written:],
+                angles[written:],
+                energies,
+                self._impacts,
+            )
+            impacts.append(self._impacts[: self._state["listed"][0]].copy())
+            written += done
+            if written == count or status != Status.RUNNING:
+                break
         self.sample = first + written
         self.status = Status(status)
         return Chunk(
@@ -88,6 +99,8 @@ class Engine:
             interval_ns=self._interval_ns,
             samples=rows[:written],
             angles=angles[:written],
+            energies=energies[0],
+            impacts=np.concatenate(impacts),
             commands=self.commands,
             counters=Counters(*(int(self._state[name][0]) for name in Counters._fields)),
             status=self.status,
@@ -113,7 +126,7 @@ class Engine:
                     f"the checkpoint has format {form}, this version reads {CHECKPOINT_FORMAT}: "
                     "use the version that wrote it"
                 )
-            state = np.zeros(1, dtype=kernel.STATE)
+            state = derived.aligned_zeros((1,), kernel.STATE)
             for name in _STATE_NAMES:
                 state[name] = checkpoint["state"][name]
             commands = Commands(**checkpoint["commands"])

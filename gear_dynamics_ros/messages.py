@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_typestore
 
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.signals import COLUMN, Chunk, Commands
+from gear_dynamics_ros.signals import CHANNELS, COLUMN, Chunk, Commands
 
 TYPESTORE: Final = get_typestore(Stores.ROS2_JAZZY)
 
@@ -195,7 +195,7 @@ class Encoder:
         self._joints = (*self._shafts, f"{prefix}mesh")
         self._channels = tuple(parameters.waveform_channels)
         self._columns = [COLUMN[name] for name in self._channels]
-        self._all_channels = self._columns == list(range(len(COLUMN)))
+        self._all_channels = self._columns in (list(range(len(CHANNELS))), list(range(len(COLUMN))))
         self._waveform_prefixes: dict[int, bytes] = {}
 
     def chunk(self, chunk: Chunk) -> list[Record]:
@@ -203,7 +203,7 @@ class Encoder:
         if not len(chunk):
             return []
         time_ns = self._epoch_ns + chunk.last_ns
-        last = dict(zip(COLUMN, chunk.samples[-1].tolist(), strict=True))
+        last = dict(zip(COLUMN, chunk.samples[-1].tolist(), strict=False))
         payloads = {
             "joint_states": self._joint_states(time_ns, last, chunk.angles[-1].tolist()),
             "dte": _float64(last["dte"]),

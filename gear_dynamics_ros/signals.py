@@ -51,8 +51,29 @@ CHANNELS: tuple[Channel, ...] = (
     Channel("driving_angle", "rad", "theta_1 within one revolution, 0 to 2 pi"),
     Channel("mesh_phase", "rad", "mesh phase phi within one tooth, 0 to 2 pi"),
 )
+# On request, after the others: works and losses since the start or the last reset, and what is stored now.
+ENERGIES: tuple[Channel, ...] = (
+    Channel("shaft_work", "J", "work of the drive torque less that of the load torque"),
+    Channel("excitation_work", "J", "work of stiffness, static error and surfaces moving with the phase"),
+    Channel("mesh_loss", "J", "dissipated by the teeth's damping"),
+    Channel("driving_contact_loss", "J", "dissipated by the bearing contact"),
+    Channel("driven_contact_loss", "J", "dissipated by the bearing contact"),
+    Channel("driving_film_work", "J", "put into the shaft by the oil film, negative where it damps"),
+    Channel("driven_film_work", "J", "put into the shaft by the oil film, negative where it damps"),
+    Channel("kinetic_energy", "J", "of both gears, their rotation included"),
+    Channel("elastic_energy", "J", "in teeth and bearing contacts"),
+)
+# One row a bearing contact that ended.
+IMPACTS: tuple[Channel, ...] = (
+    Channel("begin", "s", "simulated time at which the gap closed"),
+    Channel("end", "s", "simulated time at which it opened again"),
+    Channel("bearing", "", "0 driving, 1 driven"),
+    Channel("impact_speed", "m/s", "closing speed when it closed"),
+    Channel("rebound_speed", "m/s", "opening speed when it opened"),
+    Channel("peak_force", "N", "greatest contact force between"),
+)
 CHANNEL_NAMES: tuple[str, ...] = tuple(channel.name for channel in CHANNELS)
-COLUMN: dict[str, int] = {name: column for column, name in enumerate(CHANNEL_NAMES)}
+COLUMN: dict[str, int] = {channel.name: i for i, channel in enumerate((*CHANNELS, *ENERGIES))}
 
 
 class Status(IntEnum):
@@ -86,7 +107,9 @@ class Counters(NamedTuple):
 class Chunk:
     """The samples of one engine call, [t0, t0 + T).
 
-    ``samples`` has shape (n, 28), one column a CHANNELS entry, C-contiguous and never written to again.
+    ``samples`` has shape (n, 28), one column a CHANNELS entry, or (n, 37) with ENERGIES after them where the
+    parameters ask for one; C-contiguous and never written to again. ``energies`` (9,) are ENERGIES after the
+    last sample's steps; ``impacts`` (k, 6) has a row of IMPACTS for each bearing contact that ended.
     ``angles`` has shape (n, 2): shaft angles of driving and driven gear in rad, accumulated over all
     revolutions since the start or the last reset. ``status`` other than RUNNING means the run ended at the
     last sample; ``message`` then says why.
@@ -96,6 +119,8 @@ class Chunk:
     interval_ns: int
     samples: NDArray[np.float64]
     angles: NDArray[np.float64]
+    energies: NDArray[np.float64]
+    impacts: NDArray[np.float64]
     commands: Commands
     counters: Counters
     status: Status

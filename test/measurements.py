@@ -183,15 +183,12 @@ def simulated_restitution(eta: float, law: str, step: float = 1e-6) -> float:
     engine = Engine(p)
     checkpoint = engine.checkpoint()
     clearance, speed = p.bearings.driving.clearance, 0.1
-    checkpoint["state"][kernel.U] = 0.0
-    checkpoint["state"][kernel.Y1] = clearance - 1.234e-6
-    checkpoint["state"][kernel.VY1] = speed
-    checkpoint["flags"][kernel.FLANK] = 0
+    checkpoint["state"] |= {"u": 0.0, "y": [clearance - 1.234e-6, 0.0], "vy": [speed, 0.0], "flank": 0.0}
     engine.restore(checkpoint)
     chunk = engine.advance(50)
     if chunk.counters.impacts != 1 or chunk["driving_penetration"][-1] > 0.0:
         raise AssertionError("the impact is not over")
-    return -float(engine.checkpoint()["state"][kernel.VY1]) / speed
+    return -float(engine.checkpoint()["state"]["vy"][0]) / speed
 
 
 def restitution() -> Iterator[Measurement]:
@@ -212,44 +209,48 @@ def restitution() -> Iterator[Measurement]:
 # Linear and static
 
 
-def accelerations(p: Parameters, y: Vector, flags: NDArray[np.int64]) -> tuple[Vector, Vector]:
-    """Accelerations (x1, y1, x2, y2, omega1, omega2) and the kernel's whole point, without excitation."""
-    points, unexcited = np.zeros((1, kernel.POINT_SIZE)), np.zeros((1, kernel.EXCITATIONS))
-    constants, operation = derived.constants(p), p.operation
-    kernel.evaluate(
-        constants, operation.speed, operation.load_torque, y[None, :], 0, flags, unexcited, 0, 0.0, points, 0
-    )
-    return points[0, :6], points[0]
+def look(p: Parameters, state: NDArray[Any]) -> np.void:
+    """All that the kernel evaluates at ``state``, without excitation."""
+    table = derived.excitations(p)
+    points = derived.aligned_zeros((3,), kernel.POINT)
+    constants = derived.constants(p, table)
+    kernel.look(constants, state, points, table.waves, np.zeros_like(table.amplitudes))
+    point: np.void = points[kernel.HERE]
+    return point
 
 
-def loaded_state(p: Parameters, offset: float) -> tuple[Vector, NDArray[np.int64]]:
+def loaded_state(p: Parameters, offset: float) -> NDArray[Any]:
     """Drive flank touching, each centre ``offset`` along the line of action, there in contact."""
-    y, flags = np.zeros(kernel.STATE_SIZE), np.zeros(kernel.FLAGS_SIZE, dtype=np.int64)
-    y[kernel.DRIVE_TORQUE] = p.operation.drive_torque
-    along = np.array([math.sin(p.gears.pressure_angle), math.cos(p.gears.pressure_angle)])
-    y[kernel.X1 : kernel.Y1 + 1], y[kernel.X2 : kernel.Y2 + 1] = -offset * along, offset * along
-    flags[kernel.FLANK] = 1
+    state = derived.aligned_zeros((1,), kernel.STATE)
+    state["drive_torque"], state["load_torque"] = p.operation.drive_torque, p.operation.load_torque
+    state["speed"], state["impact_speed"] = p.operation.speed, p.bearings.minimum_impact_speed
+    shift_centres(p, state, -offset, offset)
+    state["flank"] = 1.0
     if offset > 0.0:
-        flags[kernel.CONTACT : kernel.CONTACT + 2] = 1
-    _, point = accelerations(p, y, flags)
-    y[kernel.U] += point[kernel.HALF_BACKLASH] - point[kernel.Q]
-    return y, flags
+        state["contact"] = 1.0
+    point = look(p, state)
+    state["u"] += point["half_backlash"] - point["q"]
+    return state
 
 
-def mode_frequencies(
-    p: Parameters, y: Vector, flags: NDArray[np.int64], fixed_centres: bool = False
-) -> Vector:
+def shift_centres(p: Parameters, state: NDArray[Any], first: float, second: float) -> None:
+    """Move the centres along the line of action."""
+    state["x"] += np.array([first, second]) * math.sin(p.gears.pressure_angle)
+    state["y"] += np.array([first, second]) * math.cos(p.gears.pressure_angle)
+
+
+def mode_frequencies(p: Parameters, state: NDArray[Any], fixed_centres: bool = False) -> Vector:
     """Frequencies in Hz of (u, s1, s2), s the centres' displacements along the line of action."""
     along = np.array([math.sin(p.gears.pressure_angle), math.cos(p.gears.pressure_angle)])
     r1, r2 = derived.base_radii(p)
 
     def reduced(shift: Vector) -> Vector:
-        moved = y.copy()
-        moved[kernel.U] += shift[0]
-        moved[kernel.X1 : kernel.Y1 + 1] += shift[1] * along
-        moved[kernel.X2 : kernel.Y2 + 1] += shift[2] * along
-        a, _ = accelerations(p, moved, flags)
-        return np.array([r1 * a[4] - r2 * a[5], a[:2] @ along, a[2:4] @ along])
+        moved = state.copy()
+        moved["u"] += shift[0]
+        shift_centres(p, moved, shift[1], shift[2])
+        point = look(p, moved)
+        centres = point["ax"] * along[0] + point["ay"] * along[1]
+        return np.array([r1 * point["alpha"][0] - r2 * point["alpha"][1], *centres])
 
     h = 1e-9
     columns = [(reduced(h * row) - reduced(-h * row)) / (2.0 * h) for row in np.eye(3)]
@@ -263,11 +264,11 @@ def mode_frequencies(
 def modes() -> Iterator[Measurement]:
     p = flat(QUIET, {"model": "traditional", "mesh.damping_ratio": 0.0})
     # a flank pressed in by a micrometre, so that the differences stay in contact
-    y, flags = loaded_state(p, 0.0)
-    y[kernel.U] += 1e-6
-    torsion = float(mode_frequencies(p, y, flags, fixed_centres=True)[-1])
+    state = loaded_state(p, 0.0)
+    state["u"] += 1e-6
+    torsion = float(mode_frequencies(p, state, fixed_centres=True)[-1])
     yield relative("torsion-only mesh mode", torsion, 4654.6, 1e-5, "Hz")
-    yield relative("mesh mode of free gears", float(mode_frequencies(p, y, flags)[-1]), 6071.5, 1e-5, "Hz")
+    yield relative("mesh mode of free gears", float(mode_frequencies(p, state)[-1]), 6071.5, 1e-5, "Hz")
     # a gap so small that it is closed at once: line of centres and line of action stay where they are
     clearance = 1e-7
     p = flat(
@@ -279,9 +280,9 @@ def modes() -> Iterator[Measurement]:
             "bearings.driven.clearance": clearance,
         },
     )
-    y, flags = loaded_state(p, clearance + 1e-8)
-    y[kernel.U] += 1e-8
-    frequencies = mode_frequencies(p, y, flags)
+    state = loaded_state(p, clearance + 1e-8)
+    state["u"] += 1e-8
+    frequencies = mode_frequencies(p, state)
     yield relative("lower mode on Kelvin bearings", float(frequencies[0]), 1202.5, 1e-4, "Hz")
     yield relative("upper mode on Kelvin bearings", float(frequencies[-1]), 6160.4, 1e-4, "Hz")
 
@@ -289,22 +290,24 @@ def modes() -> Iterator[Measurement]:
 def static() -> Iterator[Measurement]:
     """Equilibrium of the kernel's right-hand side."""
     p = flat(QUIET, {"model": "traditional"})
-    y, flags = loaded_state(p, p.bearings.driving.clearance + 5e-6)
-    unknown = [kernel.X1, kernel.Y1, kernel.X2, kernel.Y2, kernel.U]
-    start = y[unknown]
+    state = loaded_state(p, p.bearings.driving.clearance + 5e-6)
+    start = state.copy()
 
     def residual(shift: Vector) -> Vector:
-        y[unknown] = start + 1e-6 * shift
-        a, _ = accelerations(p, y, flags)
-        return a[:5] * np.array([1.0, 1.0, 1.0, 1.0, p.gears.driving.inertia / 0.05]) / 500.0
+        metres = 1e-6 * shift
+        state["x"], state["y"] = start["x"] + metres[0:2], start["y"] + metres[2:4]
+        state["u"] = start["u"] + metres[4]
+        point = look(p, state)
+        torsion = point["alpha"][0] * p.gears.driving.inertia / 0.05
+        return np.array([*point["ax"], *point["ay"], torsion]) / 500.0
 
     solution = root(residual, np.array([0.0, 0.0, 0.0, 0.0, 1.0]), tol=1e-14)
     residual(solution.x)
-    _, point = accelerations(p, y, flags)
-    deflection = float(point[kernel.Q] - point[kernel.HALF_BACKLASH])
+    point = look(p, state)
+    deflection = float(point["q"] - point["half_backlash"])
     yield relative("static mesh deflection", 1e6 * deflection, 1.77363, 1e-6, "um")
     for gear, name in enumerate(("driving", "driven")):
-        penetration = 1e6 * float(point[kernel.PENETRATION + gear])
+        penetration = 1e6 * float(point["penetration"][gear])
         yield relative(f"static deflection, {name} Kelvin bearing", penetration, 5.32089, 1e-6, "um")
 
 
@@ -317,20 +320,21 @@ def mean_mesh_force() -> Iterator[Measurement]:
             p = flat({"operation.control": "torque"}, {"model": model, **switches})
             engine = Engine(p)
             samples = round(1.0 / p.solver.sample_interval)
-            state = np.array(engine.checkpoint()["state"])
+            before = engine.checkpoint()["state"]["mesh_impulse"]
             engine.advance(samples)
-            change = np.array(engine.checkpoint()["state"]) - state
-            mean = float(change[kernel.MESH_IMPULSE]) / (samples * p.solver.sample_interval)
+            impulse = engine.checkpoint()["state"]["mesh_impulse"] - before
+            mean = impulse / (samples * p.solver.sample_interval)
             expected = p.operation.drive_torque / derived.base_radii(p)[0]
             yield relative(f"mean mesh force over 1 s, {model}, {name}", mean, expected, 5e-4, "N")
 
 
-def vibration_energy(p: Parameters, state: Vector) -> tuple[float, float]:
+def vibration_energy(p: Parameters, state: dict[str, Any]) -> tuple[float, float]:
     """Conserved energy and vibration energy (kinetic and elastic) in J of the undamped gear pair."""
     gears, bearings = p.gears, p.bearings
     r1, r2 = derived.base_radii(p)
     reach = r1 + r2
-    x1, y1, x2, y2, u, _, vx1, vy1, vx2, vy2, omega1, omega2 = (float(v) for v in state[:12])
+    (x1, x2), (y1, y2), u = state["x"], state["y"], state["u"]
+    (vx1, vx2), (vy1, vy2), (omega1, omega2) = state["vx"], state["vy"], state["omega"]
     dx, dy = gears.module * (gears.driving.teeth + gears.driven.teeth) / 2.0 + x2 - x1, y2 - y1
     alpha, alpha0 = math.acos(reach / math.hypot(dx, dy)), gears.pressure_angle
     q = u - reach * math.atan2(dy, dx)
@@ -375,10 +379,10 @@ def energy_drift(step: float) -> float:
         },
     )
     engine = Engine(p)
-    energies = [vibration_energy(p, np.array(engine.checkpoint()["state"]))]
+    energies = [vibration_energy(p, engine.checkpoint()["state"])]
     for _ in range(200):
         engine.advance(10)
-        energies.append(vibration_energy(p, np.array(engine.checkpoint()["state"])))
+        energies.append(vibration_energy(p, engine.checkpoint()["state"]))
     conserved, vibration = np.array(energies).T
     return float(np.abs(conserved - conserved[0]).max() / vibration.max())
 
@@ -418,9 +422,7 @@ class BacklashOscillator:
         )
         self.interval = p.solver.sample_interval
         self.engine = Engine(p)
-        constants = derived.constants(p).copy()
-        constants.per_mass1 = constants.per_mass2 = 0.0
-        self.engine._constants = constants  # no parameter holds a centre still
+        self.engine._constants["per_mass"] = 0.0  # no parameter holds a centre still
         self.settle(start)
 
     def settle(self, frequency: float, time: float = 300.0) -> tuple[float, int]:

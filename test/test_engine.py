@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.physics import kernel
 from gear_dynamics_ros.signals import CHANNELS, Commands, Status
 
 SAMPLES = 600
@@ -90,7 +89,7 @@ def test_a_checkpoint_goes_on_bit_for_bit_through_json() -> None:
 def test_a_spoiled_checkpoint_changes_nothing() -> None:
     engine = Engine(parameters())
     before = engine.checkpoint()
-    for entry, value in (("format", 0), ("state", [1.0]), ("flags", None), ("commands", {"torque": 1.0})):
+    for entry, value in (("format", 0), ("state", {"x": [1.0, 2.0]}), ("state", None), ("commands", {"torque": 1.0})):
         with pytest.raises(GearboxError, match="checkpoint"):
             engine.restore({**before, entry: value})
     del before["sample"]
@@ -232,15 +231,16 @@ def test_engine_needs_neither_ros_nor_rerun_nor_matplotlib() -> None:
 def pressed() -> dict[str, Any]:
     """A state in which both bearings are pressed in deep, in contacts that began as slowly as can be."""
     checkpoint = Engine(parameters(model="compared", operation__speed=200.0)).checkpoint()
-    state, flags = checkpoint["state"], checkpoint["flags"]
     depth = parameters().bearings.driving.clearance + 3e-6
-    state[kernel.Y1], state[kernel.Y2] = -depth, depth
     # The line of centres turns by 2 depth / a_s; keep the teeth 1 um apart all the same.
-    state[kernel.U] += 2.0 * depth * math.cos(parameters().gears.pressure_angle) - 1e-6
-    flags[kernel.FLANK] = 0
-    for gear in range(2):
-        flags[kernel.CONTACT + gear] = 1
-        state[kernel.IMPACT_SPEED + gear] = 1e-3
+    turned = 2.0 * depth * math.cos(parameters().gears.pressure_angle) - 1e-6
+    checkpoint["state"] |= {
+        "y": [-depth, depth],
+        "u": checkpoint["state"]["u"] + turned,
+        "flank": 0.0,
+        "contact": [1.0, 1.0],
+        "impact_speed": [1e-3, 1e-3],
+    }
     return checkpoint
 
 

@@ -17,10 +17,10 @@ from gear_dynamics_ros.physics.surface import Surface, fractal_surface
 class Excitations(NamedTuple):
     """Every periodic excitation as one trigonometric series over the hunting cycle.
 
-    ``orders`` waves per cycle, zeros to a whole number of blocks of lanes; ``amplitudes`` (m * 2 * EXCITATIONS,)
-    of an even number m of waves, of the cosine and then of the sine of each: surface height z1 + z2, its first
-    and second derivative by the mesh phase, stiffness modulation and slope, static error with two derivatives;
-    m and rad, stiffness dimensionless.
+    ``waves`` (WAVE_ROWS, n): waves per cycle in row ORDER, zeros to a whole number of blocks of lanes, and
+    room for the kernel. ``amplitudes`` (m, 2, EXCITATIONS), m even, of the cosine and the sine of each wave:
+    surface height z1 + z2, its first and second derivative by the mesh phase, stiffness modulation and slope,
+    static error with two derivatives; m and rad, stiffness dimensionless.
     """
 
     waves: NDArray[np.float64]
@@ -53,30 +53,30 @@ def mesh_damping(parameters: Parameters) -> float:
 
 
 def involute_series(tan2: float) -> list[float]:
-    """Coefficients in xi^0.. of inv alpha - inv alpha0, tan, cos and sin of alpha, tan^2 alpha = ``tan2`` + xi.
+    """Coefficients in xi^0.. of inv alpha - inv alpha0, cos, sin, cot; tan^2 alpha = ``tan2`` + xi.
 
     The four of one power stand side by side. With w = tan alpha, d(w - atan w)/dxi = w / (2 (1 + w^2)); all
     factors have binomial series.
     """
     terms = kernel.SERIES_TERMS
-    tangent, cosine, square = [math.sqrt(tan2)], [1.0 / math.sqrt(1.0 + tan2)], [1.0 / (1.0 + tan2)]
+    tangent, cotangent = [math.sqrt(tan2)], [1.0 / math.sqrt(tan2)]
+    cosine, square = [1.0 / math.sqrt(1.0 + tan2)], [1.0 / (1.0 + tan2)]
     for k in range(1, terms):
         tangent.append(tangent[-1] * (1.5 - k) / (k * tan2))
+        cotangent.append(-cotangent[-1] * (k - 0.5) / (k * tan2))
         cosine.append(-cosine[-1] * (k - 0.5) / (k * (1.0 + tan2)))
         square.append(-square[-1] / (1.0 + tan2))
     involute = [0.0, *(value / (2.0 * k) for k, value in enumerate(_product(tangent, square), start=1))]
     return [
         value
-        for power in zip(involute, tangent, cosine, _product(tangent, cosine), strict=False)
+        for power in zip(involute, cosine, _product(tangent, cosine), cotangent, strict=False)
         for value in power
     ]
 
 
 def _product(left: list[float], right: list[float]) -> list[float]:
     """Coefficients of the product of two power series, as many as each has."""
-    return [
-        math.fsum(left[i] * right[k - i] for i in range(k + 1)) for k in range(len(left))
-    ]
+    return [math.fsum(left[i] * right[k - i] for i in range(k + 1)) for k in range(len(left))]
 
 
 def surfaces(parameters: Parameters) -> tuple[Surface, Surface]:
@@ -95,6 +95,15 @@ def surfaces(parameters: Parameters) -> tuple[Surface, Surface]:
         )
 
     return of(gears.driving.teeth, "driving"), of(gears.driven.teeth, "driven")
+
+
+def aligned_zeros(shape: tuple[int, ...], dtype: Any = np.float64) -> NDArray[Any]:
+    """Zeros that begin on a cache line, which numpy doesn't promise."""
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    raw = np.zeros(size + kernel.CACHE_LINE, np.uint8)
+    start = -raw.ctypes.data % kernel.CACHE_LINE
+    aligned: NDArray[Any] = raw[start : start + size].view(dtype).reshape(shape)
+    return aligned
 
 
 def excitations(parameters: Parameters) -> Excitations:
@@ -126,9 +135,9 @@ def excitations(parameters: Parameters) -> Excitations:
             add(h * teeth * turns, column, derivatives, 0.0, sine)
 
     orders = sorted(rows)
-    waves = np.zeros((kernel.WAVE_ROWS, -(-len(orders) // kernel.ROW_BLOCK) * kernel.ROW_BLOCK))
+    waves = aligned_zeros((kernel.WAVE_ROWS, -(-len(orders) // kernel.ROW_BLOCK) * kernel.ROW_BLOCK))
     waves[kernel.ORDER, : len(orders)] = orders
-    amplitudes = np.zeros((len(orders) + len(orders) % 2, 2, kernel.EXCITATIONS))
+    amplitudes = aligned_zeros((len(orders) + len(orders) % 2, 2, kernel.EXCITATIONS))
     for index, order in enumerate(orders):
         amplitudes[index] = rows[order]
     return Excitations(waves, amplitudes)
@@ -182,7 +191,7 @@ def constants(parameters: Parameters, table: Excitations) -> NDArray[Any]:
         step=parameters.solver.step,
         steps_per_sample=parameters.solver.steps_per_sample,
     )
-    record = np.zeros(1, dtype=kernel.CONSTANTS)
+    record = aligned_zeros((1,), kernel.CONSTANTS)
     for name in kernel.CONSTANTS.names or ():
         record[name] = values[name]
     return record

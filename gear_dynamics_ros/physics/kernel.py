@@ -8,8 +8,8 @@ second. Four records are passed around, by reference:
 
 ``constants``  derived from the parameters, never written to;
 ``state``      everything that decides the future: motion, flags, latched values, commands in force, totals;
-``points``     points of the trajectory with all that was evaluated there: HERE, END of the trial step, LOW end
-               of a search;
+``points``     points of the trajectory with all that was evaluated there: HERE, END of the trial step,
+               LOW end of a search;
 ``waves``      the periodic excitations' sines and cosines, with ``amplitudes`` their table.
 """
 
@@ -41,6 +41,7 @@ from gear_dynamics_ros.physics.lanes import (
 LANES_SHA256 = ""
 
 Floats = NDArray[np.float64]
+Record = Any  # one numpy record of CONSTANTS, STATE or POINT
 Pair = Any  # two lanes, one a gear
 Octet = Any  # eight lanes
 Pointer = Any  # to float64 that an array of the caller's keeps
@@ -92,12 +93,33 @@ HERE, END, LOW = range(3)  # of points; a plain step swaps HERE and END
 
 RUNNING, OVER_SPEED, NON_FINITE, CENTRES_PRESSED = range(4)
 
+CHANNEL_COUNT = 28
 IMPACT_SIZE = 6
 
 F8, I8 = np.float64, np.int64
 
-CONSTANTS = np.dtype(
+CACHE_LINE = 64  # bytes: lanes that straddle two lines are loaded twice
+
+
+def whole_lines(fields: list[Any]) -> np.dtype[Any]:
+    """A record type padded to whole cache lines."""
+    packed = np.dtype(fields, align=True)
+    names = packed.names or ()
+    layout: Any = {
+        "names": names,
+        "formats": [packed[name] for name in names],
+        "offsets": [packed.fields[name][1] for name in names] if packed.fields else [],
+        "itemsize": -(-packed.itemsize // CACHE_LINE) * CACHE_LINE,
+        "aligned": True,
+    }
+    padded: np.dtype[Any] = np.dtype(layout)
+    return padded
+
+
+CONSTANTS = whole_lines(
     [
+        # inv alpha - inv alpha0, cos, sin and cot of alpha in powers of xi, side by side
+        ("involute_series", F8, 4 * SERIES_TERMS),
         ("kelvin", I8),
         ("film", I8),
         ("exact_geometry", I8),
@@ -114,8 +136,6 @@ CONSTANTS = np.dtype(
         ("per_radii", F8),  # 1 / (r_b1 + r_b2), 1/m
         ("tan2_alpha0", F8),
         ("involute_alpha0", F8),
-        # inv alpha - inv alpha0, tan alpha, cos alpha, sin alpha in powers of xi, side by side
-        ("involute_series", F8, 4 * SERIES_TERMS),
         ("half_backlash", F8),  # b0, m
         ("stiffness", F8),  # k_m, N/m
         ("damping", F8),  # c1, N s/m
@@ -138,8 +158,7 @@ CONSTANTS = np.dtype(
         ("governor_limit", F8),  # N m
         ("speed_limit", F8),  # rad/s
         ("step", F8),  # s
-    ],
-    align=True,
+    ]
 )
 
 # Integrated. Works are N m since the start: what shafts and moving excitations put in, what mesh and bearing
@@ -160,7 +179,7 @@ MOTION = [
     ("film_work", F8, 2),
 ]
 
-STATE = np.dtype(
+STATE = whole_lines(
     [
         *MOTION,
         ("impact_speed", F8, 2),  # m/s, latched: v_impact of (6)
@@ -187,18 +206,17 @@ STATE = np.dtype(
         ("flank_changes", I8),
         ("pressed", I8),  # the backlash was used up at the end of a step
         ("listed", I8),  # rows of this call's list of impacts
-    ],
-    align=True,
+    ]
 )
 
-POINT = np.dtype(
+POINT = whole_lines(
     [
+        ("excitation", F8, EXCITATIONS),
+        ("middle", F8, EXCITATIONS),  # excitations half a step before
         *MOTION,
         ("time", F8),  # s
         ("turn", F8),  # of gear 1, what sets the phase beside whole turns
         ("lag", F8),  # rad of mesh phase by which the state is ahead of the excitations below
-        ("excitation", F8, EXCITATIONS),
-        ("middle", F8, EXCITATIONS),  # excitations half a step before
         ("value", F8, EVENT_COUNT),
         ("rate", F8, EVENT_COUNT),
         ("ax", F8, 2),  # m/s^2
@@ -212,7 +230,8 @@ POINT = np.dtype(
         ("film_power", F8, 2),
         ("q", F8),
         ("q_rate", F8),
-        ("tan_alpha", F8),
+        ("cos_alpha", F8),
+        ("sin_alpha", F8),
         ("half_backlash", F8),
         ("mesh_energy", F8),  # N m, of the teeth's spring
         ("load", F8),
@@ -223,8 +242,7 @@ POINT = np.dtype(
         ("film_x", F8, 2),
         ("film_y", F8, 2),
         ("damping", F8, 2),  # N s/m
-    ],
-    align=True,
+    ]
 )
 
 
@@ -247,7 +265,8 @@ class Mesh(NamedTuple):
     along_y: float
     q: float
     q_rate: float
-    tan_alpha: float
+    cos_alpha: float
+    sin_alpha: float
     half_backlash: float
     half_backlash_rate: float
     approach: float  # g
@@ -297,7 +316,10 @@ compiled = njit(cache=True, fastmath={"contract"}, error_model="numpy")
 
 @hot
 def sine_cosine(turns: Octet) -> tuple[Octet, Octet]:
-    """Sine and cosine of 2 pi ``turns``, exact to rounding: Taylor polynomials of the half angle, |x| <= pi/2."""
+    """Sine and cosine of 2 pi ``turns``, exact to rounding.
+
+    Taylor polynomials of the half angle, |x| <= pi/2.
+    """
     x = math.pi * (turns - ((turns + 6755399441055744.0) - 6755399441055744.0))
     x2 = x * x
     s = 1.0 / 51090942171709440000.0 * x2 - 1.0 / 121645100408832000.0
@@ -324,7 +346,7 @@ def sine_cosine(turns: Octet) -> tuple[Octet, Octet]:
 
 
 @hot
-def set_waves(constants: np.record, waves: Pointer, turn: float, cosine_row: int, sine_row: int) -> None:
+def set_waves(constants: Record, waves: Pointer, turn: float, cosine_row: int, sine_row: int) -> None:
     """Sines and cosines of all waves at ``turn``, the fraction of the hunting cycle."""
     n = constants.padded_waves
     for j in range(0, n, ROW_BLOCK):
@@ -334,7 +356,7 @@ def set_waves(constants: np.record, waves: Pointer, turn: float, cosine_row: int
 
 
 @hot
-def turn_waves(constants: np.record, waves: Pointer) -> None:
+def turn_waves(constants: Record, waves: Pointer) -> None:
     """The waves on the grid half a step on: one rotation."""
     n = constants.padded_waves
     for j in range(0, n, ROW_BLOCK):
@@ -345,7 +367,7 @@ def turn_waves(constants: np.record, waves: Pointer) -> None:
 
 
 @hot
-def nudge_waves(constants: np.record, waves: Pointer, turn: float) -> None:
+def nudge_waves(constants: Record, waves: Pointer, turn: float) -> None:
     """The waves on the grid turned by the small ``turn`` (a fraction of the hunting cycle)."""
     n = constants.padded_waves
     for j in range(0, n, ROW_BLOCK):
@@ -360,7 +382,7 @@ def nudge_waves(constants: np.record, waves: Pointer, turn: float) -> None:
 
 @hot
 def sum_waves(
-    constants: np.record, waves: Pointer, amplitudes: Pointer, cosine_row: int, sine_row: int
+    constants: Record, waves: Pointer, amplitudes: Pointer, cosine_row: int, sine_row: int
 ) -> Octet:
     """All columns of the excitation table, eight side by side."""
     n = constants.padded_waves
@@ -415,7 +437,7 @@ def film_force(coefficient: Any, w: Any, ex: Any, ey: Any, ux: Any, uy: Any) -> 
 
 
 @compiled
-def held_eccentricity(constants: np.record, state: np.record, gear: int, eps2: float) -> float:
+def held_eccentricity(constants: Record, state: Record, gear: int, eps2: float) -> float:
     """Factor that brings a journal beyond the film's limit back to it.
 
     Before that event is located a trial step may overshoot the limit, yet never the wall.
@@ -429,7 +451,7 @@ def held_eccentricity(constants: np.record, state: np.record, gear: int, eps2: f
 
 
 @hot
-def film(constants: np.record, state: np.record, motion: Motion) -> Film:
+def film(constants: Record, state: Record, motion: Motion) -> Film:
     """Oil films (9)-(15) of both bearings."""
     per_c = load2(constants.per_oil_clearance, 0)
     w = both(motion.omega[0], -motion.omega[1])
@@ -453,7 +475,7 @@ def film(constants: np.record, state: np.record, motion: Motion) -> Film:
 
 
 @hot
-def bearings(constants: np.record, state: np.record, motion: Motion) -> Bearings:
+def bearings(constants: Record, state: Record, motion: Motion) -> Bearings:
     """Contacts (2)-(6) of both bearings, flags frozen."""
     d = square_root(motion.x * motion.x + motion.y * motion.y)
     inverse_d = 1.0 / at_least(d, TINY)
@@ -486,12 +508,13 @@ def bearings(constants: np.record, state: np.record, motion: Motion) -> Bearings
 
 
 @hot
-def involute_functions(constants: np.record, xi: float) -> tuple[float, float, float, float]:
-    """inv alpha - inv alpha0, tan, cos and sin of alpha where tan^2 alpha = tan^2 alpha0 + ``xi``."""
+def involute_functions(constants: Record, xi: float) -> tuple[float, float, float, float]:
+    """inv alpha - inv alpha0, cos, sin and cot of alpha where tan^2 alpha = tan^2 alpha0 + ``xi``."""
     if abs(xi) > SERIES_REACH * constants.tan2_alpha0:
         tangent = math.sqrt(constants.tan2_alpha0 + xi)
         cosine = 1.0 / math.sqrt(1.0 + constants.tan2_alpha0 + xi)
-        return tangent - math.atan(tangent) - constants.involute_alpha0, tangent, cosine, cosine * tangent
+        involute = tangent - math.atan(tangent) - constants.involute_alpha0
+        return involute, cosine, cosine * tangent, 1.0 / tangent
     series = constants.involute_series
     xi2 = xi * xi
     xi4 = xi2 * xi2
@@ -503,8 +526,11 @@ def involute_functions(constants: np.record, xi: float) -> tuple[float, float, f
 
 
 @hot
-def mesh(constants: np.record, state: np.record, motion: Motion, excitation: Floats, lag: float) -> Mesh:
-    """Teeth in mesh (21)-(30), flags frozen; the state is ``lag`` rad of mesh phase ahead of ``excitation``."""
+def mesh(constants: Record, state: Record, motion: Motion, excitation: Floats, lag: float) -> Mesh:
+    """Teeth in mesh (21)-(30), flags frozen.
+
+    The state is ``lag`` rad of mesh phase ahead of ``excitation``.
+    """
     r1, r2 = constants.base_radius[0], constants.base_radius[1]
     r_sum = r1 + r2
     half = 0.5 * lag
@@ -522,15 +548,15 @@ def mesh(constants: np.record, state: np.record, motion: Motion, excitation: Flo
     wx, wy = motion.vx[1] - motion.vx[0], motion.vy[1] - motion.vy[0]
     dx = constants.centre_distance + ux
     xi = (ux * (constants.centre_distance + dx) + uy * uy) * (constants.per_radii * constants.per_radii)
-    involute, tan_alpha, cos_alpha, sin_alpha = involute_functions(constants, xi)
+    involute, cos_alpha, sin_alpha, cot_alpha = involute_functions(constants, xi)
     per_a = cos_alpha * constants.per_radii
     cos_beta, sin_beta = dx * per_a, uy * per_a
     sin_gamma = sin_alpha * cos_beta - cos_alpha * sin_beta
     cos_gamma = cos_alpha * cos_beta + sin_alpha * sin_beta
-    a_rate_over_a = (cos_beta * wx + sin_beta * wy) * per_a
+    a_rate = cos_beta * wx + sin_beta * wy
     beta_rate = (cos_beta * wy - sin_beta * wx) * per_a
     b1 = r_sum * involute + (constants.half_backlash - 0.5 * z)
-    b1_rate = r_sum * tan_alpha * a_rate_over_a - 0.5 * z_rate
+    b1_rate = sin_alpha * a_rate - 0.5 * z_rate
     u_rate = r1 * motion.omega[0] - r2 * motion.omega[1]
     along_x, along_y = sin_gamma, cos_gamma
     if constants.exact_geometry:
@@ -540,7 +566,7 @@ def mesh(constants: np.record, state: np.record, motion: Motion, excitation: Flo
             along_x = -(sin_alpha * cos_beta + cos_alpha * sin_beta)
             along_y = cos_alpha * cos_beta - sin_alpha * sin_beta
     else:
-        gamma_rate = a_rate_over_a / tan_alpha - beta_rate
+        gamma_rate = (a_rate * per_a) * cot_alpha - beta_rate
         q = (motion.u - e) - ux * sin_gamma - uy * cos_gamma
         q_rate = (u_rate - e_rate) - wx * sin_gamma - wy * cos_gamma
         q_rate -= gamma_rate * (ux * cos_gamma - uy * sin_gamma)
@@ -561,7 +587,8 @@ def mesh(constants: np.record, state: np.record, motion: Motion, excitation: Flo
         along_y=along_y,
         q=q,
         q_rate=q_rate,
-        tan_alpha=tan_alpha,
+        cos_alpha=cos_alpha,
+        sin_alpha=sin_alpha,
         half_backlash=b1,
         half_backlash_rate=b1_rate,
         approach=approach,
@@ -577,12 +604,14 @@ def position_angle(sin_beta: float, cos_beta: float) -> float:
     if abs(sin_beta) > ARCSINE_REACH:
         return math.atan2(sin_beta, cos_beta)
     s2 = sin_beta * sin_beta
-    return sin_beta + sin_beta * s2 * ((1.0 / 6.0 + s2 * 0.075) + s2 * s2 * (5.0 / 112.0 + s2 * (35.0 / 1152.0)))
+    return sin_beta + sin_beta * s2 * (
+        (1.0 / 6.0 + s2 * 0.075) + s2 * s2 * (5.0 / 112.0 + s2 * (35.0 / 1152.0))
+    )
 
 
 @hot
 def dynamics(
-    constants: np.record, state: np.record, motion: Motion, excitation: Floats, lag: float
+    constants: Record, state: Record, motion: Motion, excitation: Floats, lag: float
 ) -> tuple[Rates, Mesh, Bearings, Film, float]:
     """Right-hand side (31), (32) with flags frozen, all it was made of, and the load torque in N m.
 
@@ -619,7 +648,7 @@ def dynamics(
 
 
 @hot
-def motion_at(point: np.record) -> Motion:
+def motion_at(point: Record) -> Motion:
     """What the right-hand side needs of ``point``."""
     return Motion(
         load2(point.x, 0),
@@ -632,12 +661,16 @@ def motion_at(point: np.record) -> Motion:
 
 
 @hot
-def evaluate(constants: np.record, state: np.record, point: np.record) -> None:
-    """``dynamics`` at ``point``, kept there with the events' values and rates."""
+def evaluate(constants: Record, state: Record, point: Record) -> bool:
+    """``dynamics`` at ``point``, kept there with the events' values and rates.
+
+    Returns whether a surface was crossed.
+    """
     motion = motion_at(point)
     rates, teeth, contacts, oil, load = dynamics(constants, state, motion, point.excitation, point.lag)
     keep_rates(point, rates)
-    point.q, point.q_rate, point.tan_alpha = teeth.q, teeth.q_rate, teeth.tan_alpha
+    point.q, point.q_rate = teeth.q, teeth.q_rate
+    point.cos_alpha, point.sin_alpha = teeth.cos_alpha, teeth.sin_alpha
     point.half_backlash, point.load = teeth.half_backlash, load
     point.mesh_energy = 0.5 * teeth.stiffness * teeth.approach * teeth.approach
     store(point.penetration, 0, contacts.penetration)
@@ -647,17 +680,20 @@ def evaluate(constants: np.record, state: np.record, point: np.record) -> None:
     store(point.damping, 0, contacts.damping)
     store(point.film_x, 0, oil.force_x)
     store(point.film_y, 0, oil.force_y)
-    keep_mesh_events(constants, state, point, teeth)
+    crossed = keep_mesh_events(constants, state, point, teeth)
     side = 2.0 * load2(state.contact, 0) - 1.0
-    store(point.value, BEARING_GAP, side * contacts.penetration)
+    gap = side * contacts.penetration
+    crossed |= any_negative(gap) | any_negative(contacts.clamp) | any_negative(oil.margin)
+    store(point.value, BEARING_GAP, gap)
     store(point.rate, BEARING_GAP, side * contacts.closing)
     store(point.value, BEARING_CLAMP, contacts.clamp)
     store(point.value, FILM_LIMIT, oil.margin)
     store(point.rate, FILM_LIMIT, oil.margin_rate)
+    return bool(crossed)
 
 
 @hot
-def keep_rates(point: np.record, rates: Rates) -> None:
+def keep_rates(point: Record, rates: Rates) -> None:
     """Store what a step integrates."""
     store(point.ax, 0, rates.ax)
     store(point.ay, 0, rates.ay)
@@ -669,8 +705,8 @@ def keep_rates(point: np.record, rates: Rates) -> None:
 
 
 @hot
-def keep_mesh_events(constants: np.record, state: np.record, point: np.record, teeth: Mesh) -> None:
-    """The flanks' gaps, and what would make the mesh pull."""
+def keep_mesh_events(constants: Record, state: Record, point: Record, teeth: Mesh) -> bool:
+    """The flanks' gaps, and what would make the mesh pull; whether one of them was crossed."""
     b1, b1_rate, flank = teeth.half_backlash, teeth.half_backlash_rate, state.flank
     upper, upper_rate = b1 - teeth.q, b1_rate - teeth.q_rate
     lower, lower_rate = teeth.q + b1, teeth.q_rate + b1_rate
@@ -684,10 +720,11 @@ def keep_mesh_events(constants: np.record, state: np.record, point: np.record, t
         clamp = flank * (1.0 - 2.0 * state.mesh_clamped) * push
     point.value[UPPER_GAP], point.value[LOWER_GAP], point.value[MESH_CLAMP] = upper, lower, clamp
     point.rate[UPPER_GAP], point.rate[LOWER_GAP] = upper_rate, lower_rate
+    return (upper < 0.0) | (lower < 0.0) | (clamp < 0.0)
 
 
 @hot
-def moved(constants: np.record, start: Motion, h: float, drift: Motion, rates: Rates) -> Motion:
+def moved(constants: Record, start: Motion, h: float, drift: Motion, rates: Rates) -> Motion:
     """``start`` after ``h`` s at the speeds of ``drift`` and the accelerations of ``rates``."""
     return Motion(
         start.x + h * drift.vx,
@@ -700,14 +737,14 @@ def moved(constants: np.record, start: Motion, h: float, drift: Motion, rates: R
 
 
 @hot
-def u_rate(constants: np.record, omega: Pair) -> float:
+def u_rate(constants: Record, omega: Pair) -> float:
     """Rate of u, or of its rate, from those of the shaft angles."""
     value: float = constants.base_radius[0] * omega[0] - constants.base_radius[1] * omega[1]
     return value
 
 
 @hot
-def rates_at(point: np.record) -> Rates:
+def rates_at(point: Record) -> Rates:
     """Rates as ``evaluate`` left them."""
     return Rates(
         load2(point.ax, 0),
@@ -724,9 +761,11 @@ def rates_at(point: np.record) -> Rates:
 
 @compiled
 def try_step(
-    constants: np.record, state: np.record, here: np.record, end: np.record, h: float, reference_speed: float
-) -> None:
+    constants: Record, state: Record, here: Record, end: Record, h: float, reference_speed: float
+) -> bool:
     """Classic RK4 over ``h`` from ``here`` to ``end`` with frozen flags, in Nystrom's form.
+
+    Returns whether a surface was crossed, or a gap may have closed and opened again.
 
     ``end`` brings its excitations and those of the middle, for a phase that moves at ``reference_speed``; the
     stages lie close to these phases and take the difference by Taylor's series.
@@ -795,15 +834,16 @@ def try_step(
     if constants.nominal_phase:
         end.turn = here.turn + TURNS_PER_RADIAN * h * state.speed
     end.lag = teeth * h * (turned[0] - reference_speed)
-    evaluate(constants, state, end)
+    grazing = any_negative(load4(here.value, 0) + h * load4(here.rate, 0))
+    return evaluate(constants, state, end) or bool(grazing)
 
 
 @compiled
 def try_apart(
-    constants: np.record,
-    state: np.record,
-    here: np.record,
-    end: np.record,
+    constants: Record,
+    state: Record,
+    here: Record,
+    end: Record,
     waves: Pointer,
     amplitudes: Pointer,
     h: float,
@@ -818,8 +858,8 @@ def try_apart(
 
 @compiled
 def excite(
-    constants: np.record,
-    state: np.record,
+    constants: Record,
+    state: Record,
     waves: Pointer,
     amplitudes: Pointer,
     turn: float,
@@ -831,7 +871,7 @@ def excite(
 
 
 @hot
-def cycle_fraction(constants: np.record, state: np.record, turn: float) -> float:
+def cycle_fraction(constants: Record, state: Record, turn: float) -> float:
     """Fraction of the hunting cycle at ``turn`` turns beyond the whole ones."""
     fraction: float = (state.turn + turn) / constants.hunting
     return fraction
@@ -873,7 +913,7 @@ def event_tolerance(event: int) -> float:
 
 
 @compiled
-def first_violated(here: np.record, end: np.record, h: float) -> int:
+def first_violated(here: Record, end: Record, h: float) -> int:
     """The event that seems to come first of those whose value is negative at the end, or -1."""
     first, earliest = -1, 2.0
     for event in range(EVENT_COUNT):
@@ -892,7 +932,7 @@ def first_violated(here: np.record, end: np.record, h: float) -> int:
 
 
 @compiled
-def grazing_fraction(here: np.record, end: np.record, h: float) -> float:
+def grazing_fraction(here: Record, end: Record, h: float) -> float:
     """Fraction of the step at which a gap seems to close and open again, or 0.
 
     Looks at gaps that are open at both ends but close at the start and open at the end.
@@ -917,9 +957,9 @@ def grazing_fraction(here: np.record, end: np.record, h: float) -> float:
 
 
 @compiled
-def flip(constants: np.record, event: int, state: np.record, here: np.record, impacts: Pointer) -> None:
+def flip(constants: Record, event: int, state: Record, here: Record, impacts: Pointer) -> None:
     """Change the flag that ``event`` stands for."""
-    if event == UPPER_GAP or event == LOWER_GAP:
+    if event <= LOWER_GAP:
         side = 1.0 if event == UPPER_GAP else -1.0
         state.flank = side if state.flank == 0.0 else 0.0
         state.mesh_clamped = 0.0
@@ -941,7 +981,7 @@ def flip(constants: np.record, event: int, state: np.record, here: np.record, im
 
 
 @compiled
-def begin_contact(constants: np.record, gear: int, state: np.record, here: np.record) -> None:
+def begin_contact(constants: Record, gear: int, state: Record, here: Record) -> None:
     """A bearing contact begins and latches its speed."""
     state.contact[gear] = 1.0
     state.impact_speed[gear] = max(here.closing[gear], constants.minimum_impact_speed)
@@ -952,7 +992,7 @@ def begin_contact(constants: np.record, gear: int, state: np.record, here: np.re
 
 
 @compiled
-def end_contact(gear: int, state: np.record, here: np.record, impacts: Pointer) -> None:
+def end_contact(gear: int, state: Record, here: Record, impacts: Pointer) -> None:
     """A bearing contact ends and enters the list: IMPACT_COLUMNS."""
     state.contact[gear] = 0.0
     at = IMPACT_SIZE * state.listed
@@ -973,7 +1013,7 @@ def settled_with(event: int) -> int:
     would say on which side of the clamp the state lies.
     """
     bits = 1 << event
-    if event == UPPER_GAP or event == LOWER_GAP:
+    if event <= LOWER_GAP:
         bits |= 1 << MESH_CLAMP
     elif event < MESH_CLAMP:
         bits |= 1 << (event - BEARING_GAP + BEARING_CLAMP)
@@ -981,7 +1021,7 @@ def settled_with(event: int) -> int:
 
 
 @compiled
-def settle(constants: np.record, event: int, state: np.record, here: np.record, impacts: Pointer) -> None:
+def settle(constants: Record, event: int, state: Record, here: Record, impacts: Pointer) -> None:
     """Flip ``event`` and, as events fall together, every other one that is past its surface."""
     flip(constants, event, state, here, impacts)
     flipped = settled_with(event)
@@ -1001,28 +1041,28 @@ def settle(constants: np.record, event: int, state: np.record, here: np.record, 
 
 
 @compiled
-def reevaluate(constants: np.record, state: np.record, here: np.record) -> None:
+def reevaluate(constants: Record, state: Record, here: Record) -> None:
     """``evaluate``, kept apart so that a rare call does not swell its caller."""
     evaluate(constants, state, here)
 
 
 @compiled
 def locate(
-    constants: np.record,
-    state: np.record,
-    here: np.record,
-    end: np.record,
-    low_end: np.record,
+    constants: Record,
+    state: Record,
+    here: Record,
+    end: Record,
+    low_end: Record,
     waves: Pointer,
     amplitudes: Pointer,
     h: float,
     event: int,
 ) -> tuple[float, int, int]:
-    """Shorten the trial step ``h`` from ``here`` to ``end`` to the first event in it, ``event`` or one before.
+    """Shorten the trial step ``h`` from ``here`` to ``end`` to the first event in it.
 
-    ``event`` is positive at ``here``, negative at ``end``. Each trial is a step of its own; the next one is at the
-    root of a cubic through values and rates of the bracket, or for clamps where the Illinois secant falls.
-    Returns (shortened step, event, 1 if the search met its limit of trials).
+    That is ``event``, positive at ``here`` and negative at ``end``, or one before it. Each trial is a step of
+    its own; the next one is at the root of a cubic through values and rates of the bracket, or for clamps
+    where the Illinois secant falls. Returns (shortened step, event, 1 if the search met its limit of trials).
     """
     copy(here, low_end)
     low, high = 0.0, h
@@ -1069,11 +1109,11 @@ def locate(
 
 @compiled
 def split_step(
-    constants: np.record,
-    state: np.record,
-    here: np.record,
-    end: np.record,
-    low_end: np.record,
+    constants: Record,
+    state: Record,
+    here: Record,
+    end: Record,
+    low_end: Record,
     waves: Pointer,
     amplitudes: Pointer,
     impacts: Pointer,
@@ -1101,9 +1141,7 @@ def split_step(
                     stops += 1
                     continue
             elif here.value[event] > 0.0:
-                h, event, capped = locate(
-                    constants, state, here, end, low_end, waves, amplitudes, h, event
-                )
+                h, event, capped = locate(constants, state, here, end, low_end, waves, amplitudes, h, event)
                 state.capped += capped
                 stops += 1
             elif h > SHORTEST_SUBSTEP * step:
@@ -1139,7 +1177,7 @@ def split_step(
 
 
 @compiled
-def longest_substep(constants: np.record, state: np.record, here: np.record) -> float:
+def longest_substep(constants: Record, state: Record, here: Record) -> float:
     """The step, halved until it bears the damping of the bearing contacts at ``here``.
 
     A contact that began slowly has a damping coefficient, a k_h delta^1.5 / v_impact, without a bound:
@@ -1157,28 +1195,21 @@ def longest_substep(constants: np.record, state: np.record, here: np.record) -> 
 
 
 @compiled
-def note_clamp_rates(here: np.record, end: np.record, h: float) -> None:
+def note_clamp_rates(here: Record, end: Record, h: float) -> None:
     """The clamps' mean rates over the substep, in place of the rates that would need accelerations."""
     for event in range(MESH_CLAMP, FILM_LIMIT):
         end.rate[event] = (end.value[event] - here.value[event]) / h
 
 
 @hot
-def note_peak(state: np.record, here: np.record) -> None:
+def note_peak(state: Record, here: Record) -> None:
     """Keep the greatest force of either bearing's contact."""
     force_x, force_y = load2(here.contact_x, 0), load2(here.contact_y, 0)
     store(state.peak_force2, 0, at_least(force_x * force_x + force_y * force_y, load2(state.peak_force2, 0)))
 
 
 @hot
-def is_eventful(here: np.record, end: np.record, h: float) -> bool:
-    """Whether a surface was crossed over the trial step, or a gap may have closed and opened again."""
-    ahead = load4(here.value, 0) + h * load4(here.rate, 0)
-    return any_negative(load8(end.value, 0)) or end.value[EVENT_COUNT - 1] < 0.0 or any_negative(ahead)
-
-
-@hot
-def wrap(constants: np.record, state: np.record, here: np.record) -> None:
+def wrap(constants: Record, state: Record, here: Record) -> None:
     """Bring theta1 back to one revolution and count it; the phase counts modulo the hunting cycle."""
     revolutions = 0
     if here.theta1 >= TWO_PI:
@@ -1195,7 +1226,7 @@ def wrap(constants: np.record, state: np.record, here: np.record) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def advance_nominal(constants: np.record, state: np.record, here: np.record) -> None:
+def advance_nominal(constants: Record, state: Record, here: Record) -> None:
     """One step of the nominal phase, without the drift of a plain sum (Kahan); must not be contracted."""
     increment = state.speed * constants.step * TURNS_PER_RADIAN - state.nominal_rest
     before = state.nominal_turn
@@ -1212,7 +1243,7 @@ def advance_nominal(constants: np.record, state: np.record, here: np.record) -> 
 
 
 @compiled
-def govern(constants: np.record, state: np.record, here: np.record, interval: float) -> None:
+def govern(constants: Record, state: Record, here: Record, interval: float) -> None:
     """PI governor, once a sample: T_M = clip(Kp err + I); I stands still while clipped."""
     error = state.speed - here.omega[0]
     wanted = constants.governor_proportional * error + state.governor
@@ -1224,14 +1255,14 @@ def govern(constants: np.record, state: np.record, here: np.record, interval: fl
 
 @compiled
 def write_sample(
-    constants: np.record, state: np.record, here: np.record, row: int, samples: Floats, angles: Floats
+    constants: Record, state: Record, here: Record, row: int, samples: Floats, angles: Floats
 ) -> None:
     """One row of CHANNELS and the accumulated angles of both shafts."""
     samples[row, 0] = here.time
     samples[row, 1] = here.q
     samples[row, 2] = here.q_rate
     samples[row, 3] = here.mesh_force
-    samples[row, 4] = math.atan(here.tan_alpha)
+    samples[row, 4] = math.atan2(here.sin_alpha, here.cos_alpha)
     samples[row, 5] = math.atan2(here.y[1] - here.y[0], constants.centre_distance + here.x[1] - here.x[0])
     samples[row, 6] = here.half_backlash
     samples[row, 7] = state.flank
@@ -1254,7 +1285,7 @@ def write_sample(
 
 
 @compiled
-def elastic_energy(constants: np.record, state: np.record, here: np.record, gear: int) -> float:
+def elastic_energy(constants: Record, state: Record, here: Record, gear: int) -> float:
     """Energy in the spring of one bearing's contact, N m: the integral of its elastic force."""
     depth = here.penetration[gear]
     if state.contact[gear] == 0.0 or depth <= 0.0:
@@ -1271,34 +1302,34 @@ def elastic_energy(constants: np.record, state: np.record, here: np.record, gear
         for k in range(16):
             total += term / (k + 2.5)
             term *= -x * (k + 0.5) / (k + 1.0)
-        return factor * x * x * math.sqrt(x) * total
+        energy = factor * x * x * math.sqrt(x) * total
+        return energy
     root = math.sqrt(x)
-    return factor * (0.25 * (2.0 * x - 3.0) * root * math.sqrt(1.0 + x) + 0.75 * math.asinh(root))
+    energy = factor * (0.25 * (2.0 * x - 3.0) * root * math.sqrt(1.0 + x) + 0.75 * math.asinh(root))
+    return energy
 
 
 @compiled
 def write_energies(
-    constants: np.record, state: np.record, here: np.record, row: int, energies: Floats
+    constants: Record, state: Record, here: Record, rows: Floats, row: int, first: int
 ) -> None:
-    """One row of ENERGIES."""
-    kinetic = 0.0
+    """ENERGIES into ``row``, from column ``first`` on."""
+    kinetic, elastic = 0.0, here.mesh_energy
     for gear in range(2):
         kinetic += 0.5 * (here.vx[gear] ** 2 + here.vy[gear] ** 2) / constants.per_mass[gear]
         kinetic += 0.5 * here.omega[gear] ** 2 / constants.per_inertia[gear]
-        energies[row, 3 + gear] = here.contact_loss[gear]
-        energies[row, 5 + gear] = here.film_work[gear]
-    energies[row, 0] = here.shaft_work
-    energies[row, 1] = here.excitation_work
-    energies[row, 2] = here.mesh_loss
-    stored = elastic_energy(constants, state, here, 0) + elastic_energy(constants, state, here, 1)
-    energies[row, 7] = kinetic
-    energies[row, 8] = stored + here.mesh_energy
+        elastic += elastic_energy(constants, state, here, gear)
+        rows[row, first + 3 + gear] = here.contact_loss[gear]
+        rows[row, first + 5 + gear] = here.film_work[gear]
+    rows[row, first] = here.shaft_work
+    rows[row, first + 1] = here.excitation_work
+    rows[row, first + 2] = here.mesh_loss
+    rows[row, first + 7] = kinetic
+    rows[row, first + 8] = elastic
 
 
 @compiled
-def refresh(
-    constants: np.record, state: np.record, here: np.record, waves: Pointer, speed: float
-) -> None:
+def refresh(constants: Record, state: Record, here: Record, waves: Pointer, speed: float) -> None:
     """Waves on the grid afresh at ``here``, and their turn over half a step at ``speed``."""
     set_waves(constants, waves, cycle_fraction(constants, state, here.turn), COSINE, SINE)
     quarter = 0.5 * constants.step * speed * TURNS_PER_RADIAN / constants.hunting
@@ -1307,11 +1338,11 @@ def refresh(
 
 @hot
 def step_on(
-    constants: np.record,
-    state: np.record,
-    here: np.record,
-    end: np.record,
-    low_end: np.record,
+    constants: Record,
+    state: Record,
+    here: Record,
+    end: Record,
+    low_end: Record,
     waves: Pointer,
     amplitudes: Pointer,
     impacts: Pointer,
@@ -1325,8 +1356,7 @@ def step_on(
     turn_waves(constants, waves)
     store(end.excitation, 0, sum_waves(constants, waves, amplitudes, COSINE, SINE))
     if longest == step:
-        try_step(constants, state, here, end, step, reference_speed)
-        if not is_eventful(here, end, step):
+        if not try_step(constants, state, here, end, step, reference_speed):
             note_peak(state, end)
             close_step(constants, state, end, waves, TURNS_PER_RADIAN * end.lag / constants.teeth1)
             return False
@@ -1339,9 +1369,7 @@ def step_on(
 
 
 @hot
-def close_step(
-    constants: np.record, state: np.record, now: np.record, waves: Pointer, off_grid: float
-) -> None:
+def close_step(constants: Record, state: Record, now: Record, waves: Pointer, off_grid: float) -> None:
     """What is due once a step; the state is ``off_grid`` turns ahead of the waves on the grid."""
     wrap(constants, state, now)
     if constants.nominal_phase:
@@ -1354,9 +1382,7 @@ def close_step(
 
 
 @compiled
-def open_point(
-    constants: np.record, state: np.record, here: np.record, waves: Pointer, amplitudes: Pointer
-) -> None:
+def open_point(constants: Record, state: Record, here: Record, waves: Pointer, amplitudes: Pointer) -> None:
     """Evaluate ``here`` afresh at the motion it holds, with the waves on the grid there."""
     here.turn = TURNS_PER_RADIAN * here.theta1
     speed = here.omega[0]
@@ -1370,7 +1396,7 @@ def open_point(
 
 
 @compiled
-def copy_motion(source: np.record, target: np.record) -> None:
+def copy_motion(source: Record, target: Record) -> None:
     """Integrated values from a state to a point or back."""
     for gear in range(2):
         target.x[gear], target.y[gear] = source.x[gear], source.y[gear]
@@ -1422,13 +1448,13 @@ def run(
 ) -> tuple[int, int]:
     """Integrate and sample: row k of ``samples`` (n, 28) and ``angles`` (n, 2) is the state before its steps.
 
-    ``energies`` takes as many rows of ENERGIES as it has; ``impact_rows`` takes the bearing contacts that end,
-    ``state.listed`` of them, and the run halts early where it might overflow. Changes the state in place;
+    ``samples`` of 37 columns take ENERGIES too; ``energies`` (1, 9) takes them at the end. ``impact_rows``
+    take the bearing contacts that end, ``state.listed`` of them; the run halts early where they might not
+    suffice for another sample with STOPS_PER_STEP a step. Changes the state in place;
     returns (rows written, status). On OVER_SPEED and CENTRES_PRESSED the last row is the state that broke the
     limit; a NON_FINITE state is not written.
     """
-    # Arrays of one record, and pointers: a record by itself is slow to hand over from Python, and numba counts
-    # references to arrays at every call.
+    # A lone record is slow to hand over from Python, and numba counts references to arrays at every call.
     constants, state = all_constants[0], all_state[0]
     here, end, low_end = points[HERE], points[END], points[LOW]
     waves, amplitudes, impacts = pointer(wave_rows), pointer(amplitude_rows), pointer(impact_rows)
@@ -1453,8 +1479,8 @@ def run(
             written, status = row, NON_FINITE
             break
         write_sample(constants, state, here, row, samples, angles)
-        if row < energies.shape[0]:
-            write_energies(constants, state, here, row, energies)
+        if samples.shape[1] > CHANNEL_COUNT:
+            write_energies(constants, state, here, samples, row, CHANNEL_COUNT)
         if abs(here.omega[0]) > limit or abs(here.omega[1]) > limit:
             written, status = row + 1, OVER_SPEED
             break
@@ -1466,17 +1492,16 @@ def run(
             if k > 0 and k % REFRESH_STEPS == 0:
                 speed = state.speed if constants.nominal_phase else here.omega[0]
                 refresh(constants, state, here, waves, speed)
-            detour = step_on(
-                constants, state, here, end, low_end, waves, amplitudes, impacts, speed
-            )
+            detour = step_on(constants, state, here, end, low_end, waves, amplitudes, impacts, speed)
             if not detour:
                 here, end = end, here
+    write_energies(constants, state, here, energies, 0, 0)
     copy_motion(here, state)
     return written, status
 
 
 @compiled
-def is_finite(here: np.record) -> bool:
+def is_finite(here: Record) -> bool:
     """Whether motion and accelerations are finite."""
     total = here.u + here.theta1
     for gear in range(2):

@@ -1,4 +1,4 @@
-"""Vectors of 2, 4 or 8 numbers for compiled functions, each lane on its own: both gears, or eight waves, at once.
+"""Vectors of 2, 4 or 8 numbers for compiled functions: both gears, or eight waves, at once.
 
 A compiler finds such vectors in scalar code only by luck; here they are a type of numba's whose arithmetic
 becomes vector instructions on every processor. ``+ - * /`` take lanes or a number on either side, ``v[i]`` is
@@ -23,7 +23,7 @@ DOUBLE = ir.DoubleType()
 INDEX = ir.IntType(32)
 
 
-class Lanes(types.Type):  # type: ignore[misc]
+class Lanes(types.Type):
     """numba's type of ``count`` float64 lanes."""
 
     def __init__(self, count: int) -> None:
@@ -32,7 +32,7 @@ class Lanes(types.Type):  # type: ignore[misc]
 
 
 @register_model(Lanes)
-class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
+class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager: Any, lanes: Lanes) -> None:
         super().__init__(manager, lanes, ir.VectorType(DOUBLE, lanes.count))
 
@@ -49,7 +49,7 @@ def _spread(builder: ir.IRBuilder, number: ir.Value, count: int) -> ir.Value:
 def _define_operator(symbol: Callable[..., Any], instruction: str) -> None:
     """Type and code of a binary operator of lanes with lanes or a float."""
 
-    class Typing(AbstractTemplate):  # type: ignore[misc]
+    class Typing(AbstractTemplate):
         key = symbol
 
         def generic(self, args: tuple[types.Type, ...], kws: dict[str, types.Type]) -> Any:
@@ -83,7 +83,7 @@ for _symbol, _instruction in (
 
 
 @infer_global(operator.neg)
-class _NegativeTyping(AbstractTemplate):  # type: ignore[misc]
+class _NegativeTyping(AbstractTemplate):
     def generic(self, args: tuple[types.Type, ...], kws: dict[str, types.Type]) -> Any:
         return signature(args[0], args[0]) if isinstance(args[0], Lanes) else None
 
@@ -94,7 +94,7 @@ def _negative(context: Any, builder: ir.IRBuilder, sig: Any, args: tuple[ir.Valu
 
 
 @infer_global(operator.getitem)
-class _LaneTyping(AbstractTemplate):  # type: ignore[misc]
+class _LaneTyping(AbstractTemplate):
     def generic(self, args: tuple[types.Type, ...], kws: dict[str, types.Type]) -> Any:
         if isinstance(args[0], Lanes) and isinstance(args[1], types.Integer):
             return signature(types.float64, args[0], types.intp)
@@ -106,8 +106,7 @@ def _lane(context: Any, builder: ir.IRBuilder, sig: Any, args: tuple[ir.Value, .
     return builder.extract_element(args[0], args[1])
 
 
-@intrinsic
-def both(typing: Any, first: types.Type, second: types.Type) -> Any:
+def _both(typing: Any, first: types.Type, second: types.Type) -> Any:
     """Two numbers as lanes."""
 
     def code(context: Any, builder: ir.IRBuilder, sig: Any, args: tuple[ir.Value, ...]) -> ir.Value:
@@ -119,9 +118,8 @@ def both(typing: Any, first: types.Type, second: types.Type) -> Any:
     return Lanes(2)(types.float64, types.float64), code
 
 
-@intrinsic
-def pointer(typing: Any, array: types.Type) -> Any:
-    """Where the float64 of ``array`` begin, without a reference to it: cheap to pass on, whoever keeps the array."""
+def _pointer(typing: Any, array: types.Type) -> Any:
+    """Where the float64 of ``array`` begin, without counting a reference: its owner must keep it alive."""
 
     def code(context: Any, builder: ir.IRBuilder, sig: Any, args: tuple[ir.Value, ...]) -> ir.Value:
         return context.make_array(array)(context, builder, args[0]).data
@@ -129,8 +127,7 @@ def pointer(typing: Any, array: types.Type) -> Any:
     return types.CPointer(types.float64)(array), code
 
 
-@intrinsic
-def copy(typing: Any, source: types.Type, target: types.Type) -> Any:
+def _copy(typing: Any, source: types.Record, target: types.Record) -> Any:
     """All of one record into another of its type."""
 
     def code(context: Any, builder: ir.IRBuilder, sig: Any, args: tuple[ir.Value, ...]) -> ir.Value:
@@ -140,7 +137,7 @@ def copy(typing: Any, source: types.Type, target: types.Type) -> Any:
     return types.void(source, source), code
 
 
-def _pointer(
+def _address(
     context: Any, builder: ir.IRBuilder, kind: types.Type, value: ir.Value, index: ir.Value, count: int
 ) -> ir.Value:
     """Address of element ``index`` of an array or pointer, as one of ``count`` lanes."""
@@ -153,25 +150,21 @@ def _pointer(
 def _loader(count: int) -> Any:
     def load(typing: Any, array: types.Type, index: types.Type) -> Any:
         def code(context: Any, builder: ir.IRBuilder, sig: Any, args: tuple[ir.Value, ...]) -> ir.Value:
-            pointer = _pointer(context, builder, sig.args[0], *args, count)
-            return builder.load(pointer, align=8, typ=ir.VectorType(DOUBLE, count))
+            address = _address(context, builder, sig.args[0], args[0], args[1], count)
+            return builder.load(address, align=8, typ=ir.VectorType(DOUBLE, count))
 
         return Lanes(count)(array, types.intp), code
 
     return intrinsic(load)
 
 
-load2, load4, load8 = (_loader(count) for count in (2, 4, 8))
-
-
-@intrinsic
-def store(typing: Any, array: types.Type, index: types.Type, lanes: types.Type) -> Any:
+def _store(typing: Any, array: types.Type, index: types.Type, lanes: types.Type) -> Any:
     """Write all lanes to ``array[index]`` and what follows."""
 
     def code(context: Any, builder: ir.IRBuilder, sig: Any, args: tuple[ir.Value, ...]) -> ir.Value:
         value, at, vector = args
-        pointer = _pointer(context, builder, sig.args[0], value, at, sig.args[2].count)
-        builder.store(vector, pointer, align=8)
+        address = _address(context, builder, sig.args[0], value, at, sig.args[2].count)
+        builder.store(vector, address, align=8)
         return context.get_dummy_value()
 
     return types.void(array, types.intp, lanes), code
@@ -198,12 +191,7 @@ def _function(name: str) -> Any:
     return intrinsic(function)
 
 
-square_root = _function("sqrt")
-absolute = _function("fabs")
-
-
-@intrinsic
-def arctangent_of(typing: Any, number: types.Type) -> Any:
+def _arctangent_of(typing: Any, number: types.Type) -> Any:
     """atan of each lane, or of one float, by the library."""
 
     def code(context: Any, builder: ir.IRBuilder, sig: Any, args: tuple[ir.Value, ...]) -> ir.Value:
@@ -219,8 +207,7 @@ def arctangent_of(typing: Any, number: types.Type) -> Any:
     return number(number), code
 
 
-@intrinsic
-def at_least(typing: Any, number: types.Type, least: types.Type) -> Any:
+def _at_least(typing: Any, number: types.Type, least: types.Type) -> Any:
     """The greater of both, lane by lane; ``least`` may be one float."""
 
     def code(context: Any, builder: ir.IRBuilder, sig: Any, args: tuple[ir.Value, ...]) -> ir.Value:
@@ -232,8 +219,7 @@ def at_least(typing: Any, number: types.Type, least: types.Type) -> Any:
     return number(number, least if isinstance(least, Lanes) else types.float64), code
 
 
-@intrinsic
-def any_negative(typing: Any, number: types.Type) -> Any:
+def _any_negative(typing: Any, number: types.Type) -> Any:
     """Whether any lane, or the one float, is below zero."""
 
     def code(context: Any, builder: ir.IRBuilder, sig: Any, args: tuple[ir.Value, ...]) -> ir.Value:
@@ -245,3 +231,18 @@ def any_negative(typing: Any, number: types.Type) -> Any:
         return builder.icmp_unsigned("!=", builder.bitcast(below, bits), bits(0))
 
     return types.boolean(number), code
+
+
+# What compiled functions call. Their types are numba's, of which type checkers know nothing.
+load2: Any = _loader(2)
+load4: Any = _loader(4)
+load8: Any = _loader(8)
+square_root: Any = _function("sqrt")
+absolute: Any = _function("fabs")
+both: Any = intrinsic(_both)
+pointer: Any = intrinsic(_pointer)
+copy: Any = intrinsic(_copy)
+store: Any = intrinsic(_store)
+arctangent_of: Any = intrinsic(_arctangent_of)
+at_least: Any = intrinsic(_at_least)
+any_negative: Any = intrinsic(_any_negative)
