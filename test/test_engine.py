@@ -89,7 +89,12 @@ def test_a_checkpoint_goes_on_bit_for_bit_through_json() -> None:
 def test_a_spoiled_checkpoint_changes_nothing() -> None:
     engine = Engine(parameters())
     before = engine.checkpoint()
-    for entry, value in (("format", 0), ("state", {"x": [1.0, 2.0]}), ("state", None), ("commands", {"torque": 1.0})):
+    for entry, value in (
+        ("format", 0),
+        ("state", {"x": [1.0, 2.0]}),
+        ("state", None),
+        ("commands", {"torque": 1.0}),
+    ):
         with pytest.raises(GearboxError, match="checkpoint"):
             engine.restore({**before, entry: value})
     del before["sample"]

@@ -148,6 +148,7 @@ def constants(parameters: Parameters, table: Excitations) -> NDArray[Any]:
     gears, mesh, operation = parameters.gears, parameters.mesh, parameters.operation
     r1, r2 = base_radii(parameters)
     tan_alpha0 = math.tan(gears.pressure_angle)
+    pair = ((gears.driving, r1), (gears.driven, r2))
     both = (parameters.bearings.driving, parameters.bearings.driven)
     values = dict(
         kelvin=parameters.model == "traditional",
@@ -170,6 +171,7 @@ def constants(parameters: Parameters, table: Excitations) -> NDArray[Any]:
         error_mean=mesh.error_mean,
         per_mass=(1.0 / gears.driving.mass, 1.0 / gears.driven.mass),
         per_inertia=(1.0 / gears.driving.inertia, 1.0 / gears.driven.inertia),
+        per_mesh_mass=sum(1.0 / gear.mass + r * r / gear.inertia for gear, r in pair),
         teeth1=float(gears.driving.teeth),
         padded_waves=table.waves.shape[1],
         waves=table.amplitudes.shape[0],

@@ -50,14 +50,13 @@ TWO_PI = 2.0 * math.pi
 TURNS_PER_RADIAN = 1.0 / TWO_PI
 TINY = 1e-150  # m, m/s, ...: keeps 1/x finite where x is zero, and its square too
 
-# Events: a surface's value is positive on the side its flag stands for. Gaps first: only they can graze.
+# Events: a surface's value is positive on the side its flag stands for.
 UPPER_GAP, LOWER_GAP = 0, 1
 BEARING_GAP = 2  # and 3
 MESH_CLAMP = 4
 BEARING_CLAMP = 5  # and 6
 FILM_LIMIT = 7  # and 8
 EVENT_COUNT = 9
-GAP_COUNT = 4
 
 # Columns of the excitation table, one pair of amplitudes (cosine, sine) each, and of its values.
 SURFACE, SURFACE_SLOPE, SURFACE_CURVATURE, STIFFNESS, STIFFNESS_SLOPE, ERROR, ERROR_SLOPE, ERROR_CURVATURE = (
@@ -82,7 +81,7 @@ GAP_TOLERANCE = 1e-8
 CLAMP_TOLERANCE = 1e-6
 SEARCH_LIMIT = 30
 STOPS_PER_STEP = 24
-# Of what is left of the step, for the first substep of a bearing contact: delta^1.5 is not smooth there.
+# Of the step, for the first substep of a bearing contact; the following ones are no longer than its age.
 ONSET_FRACTION = 0.1
 # The largest product of substep and damping rate of a bearing contact; RK4 itself bears 2.78.
 STIFFNESS_LIMIT = 0.25
@@ -142,6 +141,7 @@ CONSTANTS = whole_lines(
         ("error_mean", F8),  # e_m, m
         ("per_mass", F8, 2),  # 1/kg
         ("per_inertia", F8, 2),  # 1/(kg m^2)
+        ("per_mesh_mass", F8),  # 1/kg, acceleration of the approach by a newton of mesh force
         ("teeth1", F8),
         ("clearance", F8, 2),  # b_b, m
         ("kelvin_stiffness", F8, 2),  # N/m
@@ -233,6 +233,8 @@ POINT = whole_lines(
         ("cos_alpha", F8),
         ("sin_alpha", F8),
         ("half_backlash", F8),
+        ("surface", F8),  # m, z1 + z2
+        ("surface_rate", F8),
         ("mesh_energy", F8),  # N m, of the teeth's spring
         ("load", F8),
         ("penetration", F8, 2),
@@ -270,7 +272,13 @@ class Mesh(NamedTuple):
     half_backlash: float
     half_backlash_rate: float
     approach: float  # g
+    approach_rate: float
     stiffness: float
+    stiffness_rate: float
+    surface: float  # z1 + z2
+    surface_rate: float
+    lean_x: float  # by how much g falls as gear 2 moves
+    lean_y: float
     excitation_power: float
     loss_rate: float
 
@@ -558,20 +566,22 @@ def mesh(constants: Record, state: Record, motion: Motion, excitation: Floats, l
     b1 = r_sum * involute + (constants.half_backlash - 0.5 * z)
     b1_rate = sin_alpha * a_rate - 0.5 * z_rate
     u_rate = r1 * motion.omega[0] - r2 * motion.omega[1]
+    flank = state.flank
     along_x, along_y = sin_gamma, cos_gamma
     if constants.exact_geometry:
         q = (motion.u - e) - r_sum * position_angle(sin_beta, cos_beta)
         q_rate = (u_rate - e_rate) - r_sum * beta_rate
-        if state.flank < 0.0:
+        if flank < 0.0:
             along_x = -(sin_alpha * cos_beta + cos_alpha * sin_beta)
             along_y = cos_alpha * cos_beta - sin_alpha * sin_beta
+        lean_x, lean_y = along_x, along_y
     else:
         gamma_rate = (a_rate * per_a) * cot_alpha - beta_rate
         q = (motion.u - e) - ux * sin_gamma - uy * cos_gamma
         q_rate = (u_rate - e_rate) - wx * sin_gamma - wy * cos_gamma
         q_rate -= gamma_rate * (ux * cos_gamma - uy * sin_gamma)
+        lean_x, lean_y = along_x + flank * sin_alpha * cos_beta, along_y + flank * sin_alpha * sin_beta
 
-    flank = state.flank
     touching = abs(flank)
     side = flank + (1.0 - touching)
     approach = touching * (q - flank * b1)
@@ -592,7 +602,13 @@ def mesh(constants: Record, state: Record, motion: Motion, excitation: Floats, l
         half_backlash=b1,
         half_backlash_rate=b1_rate,
         approach=approach,
+        approach_rate=approach_rate,
         stiffness=k1,
+        stiffness_rate=k1_rate,
+        surface=z,
+        surface_rate=z_rate,
+        lean_x=lean_x,
+        lean_y=lean_y,
         excitation_power=0.5 * k1_rate * approach * approach - force * (e_rate - 0.5 * side * z_rate),
         loss_rate=(force - elastic) * approach_rate,
     )
@@ -661,10 +677,10 @@ def motion_at(point: Record) -> Motion:
 
 
 @hot
-def evaluate(constants: Record, state: Record, point: Record) -> bool:
+def evaluate(constants: Record, state: Record, point: Record, before: float) -> bool:
     """``dynamics`` at ``point``, kept there with the events' values and rates.
 
-    Returns whether a surface was crossed.
+    Returns whether an event's value is negative, or was ``before`` s ago by its rate.
     """
     motion = motion_at(point)
     rates, teeth, contacts, oil, load = dynamics(constants, state, motion, point.excitation, point.lag)
@@ -672,6 +688,7 @@ def evaluate(constants: Record, state: Record, point: Record) -> bool:
     point.q, point.q_rate = teeth.q, teeth.q_rate
     point.cos_alpha, point.sin_alpha = teeth.cos_alpha, teeth.sin_alpha
     point.half_backlash, point.load = teeth.half_backlash, load
+    point.surface, point.surface_rate = teeth.surface, teeth.surface_rate
     point.mesh_energy = 0.5 * teeth.stiffness * teeth.approach * teeth.approach
     store(point.penetration, 0, contacts.penetration)
     store(point.closing, 0, contacts.closing)
@@ -680,16 +697,21 @@ def evaluate(constants: Record, state: Record, point: Record) -> bool:
     store(point.damping, 0, contacts.damping)
     store(point.film_x, 0, oil.force_x)
     store(point.film_y, 0, oil.force_y)
-    crossed = keep_mesh_events(constants, state, point, teeth)
+    crossed = keep_mesh_events(constants, state, point, teeth, rates, before)
     side = 2.0 * load2(state.contact, 0) - 1.0
-    gap = side * contacts.penetration
-    crossed |= any_negative(gap) | any_negative(contacts.clamp) | any_negative(oil.margin)
-    store(point.value, BEARING_GAP, gap)
-    store(point.rate, BEARING_GAP, side * contacts.closing)
-    store(point.value, BEARING_CLAMP, contacts.clamp)
-    store(point.value, FILM_LIMIT, oil.margin)
-    store(point.rate, FILM_LIMIT, oil.margin_rate)
-    return bool(crossed)
+    crossed |= keep_events(point, BEARING_GAP, side * contacts.penetration, side * contacts.closing, before)
+    clamp_rate = bearing_clamp_rate(constants, state, motion, rates, contacts)
+    crossed |= keep_events(point, BEARING_CLAMP, contacts.clamp, clamp_rate, before)
+    crossed |= keep_events(point, FILM_LIMIT, oil.margin, oil.margin_rate, before)
+    return crossed
+
+
+@hot
+def keep_events(point: Record, event: int, value: Pair, rate: Pair, before: float) -> bool:
+    """Store both bearings' ``event``; whether a value is negative, or was ``before`` s ago by its rate."""
+    store(point.value, event, value)
+    store(point.rate, event, rate)
+    return bool(any_negative(value) | any_negative(value - before * rate))
 
 
 @hot
@@ -705,22 +727,67 @@ def keep_rates(point: Record, rates: Rates) -> None:
 
 
 @hot
-def keep_mesh_events(constants: Record, state: Record, point: Record, teeth: Mesh) -> bool:
-    """The flanks' gaps, and what would make the mesh pull; whether one of them was crossed."""
+def bearing_clamp_rate(
+    constants: Record, state: Record, motion: Motion, rates: Rates, contacts: Bearings
+) -> Pair:
+    """Rate of the bearing contacts' ``clamp``."""
+    inverse_d = 1.0 / at_least(contacts.penetration + load2(constants.clearance, 0), TINY)
+    along = (rates.ax * motion.x + rates.ay * motion.y) * inverse_d
+    speed2 = motion.vx * motion.vx + motion.vy * motion.vy
+    closing_rate = along + (speed2 - contacts.closing * contacts.closing) * inverse_d
+    if constants.kelvin:
+        stiffness, damping = load2(constants.kelvin_stiffness, 0), load2(constants.kelvin_damping, 0)
+        rate = stiffness * contacts.closing + damping * closing_rate
+    else:
+        rate = load2(constants.damping_factor, 0) / load2(state.impact_speed, 0) * closing_rate
+    return (load2(state.contact, 0) - 2.0 * load2(state.clamped, 0)) * rate
+
+
+@hot
+def keep_mesh_events(
+    constants: Record, state: Record, point: Record, teeth: Mesh, rates: Rates, before: float
+) -> bool:
+    """The flanks' gaps, and what would make the mesh pull, as ``keep_events`` does."""
     b1, b1_rate, flank = teeth.half_backlash, teeth.half_backlash_rate, state.flank
     upper, upper_rate = b1 - teeth.q, b1_rate - teeth.q_rate
     lower, lower_rate = teeth.q + b1, teeth.q_rate + b1_rate
-    clamp = 1.0
+    clamp, clamp_rate = 1.0, 0.0
     if flank > 0.0:
         upper, upper_rate, lower, lower_rate = -upper, -upper_rate, 1.0, 0.0
     elif flank < 0.0:
         upper, upper_rate, lower, lower_rate = 1.0, 0.0, -lower, -lower_rate
     if constants.contact_damping and flank != 0.0:
-        push = teeth.stiffness * teeth.approach + constants.damping * (teeth.q_rate - flank * b1_rate)
-        clamp = flank * (1.0 - 2.0 * state.mesh_clamped) * push
+        sign = flank * (1.0 - 2.0 * state.mesh_clamped)
+        clamp = sign * (teeth.stiffness * teeth.approach + constants.damping * teeth.approach_rate)
+        clamp_rate = sign * push_rate(constants, state, point, teeth, rates)
     point.value[UPPER_GAP], point.value[LOWER_GAP], point.value[MESH_CLAMP] = upper, lower, clamp
-    point.rate[UPPER_GAP], point.rate[LOWER_GAP] = upper_rate, lower_rate
-    return (upper < 0.0) | (lower < 0.0) | (clamp < 0.0)
+    point.rate[UPPER_GAP], point.rate[LOWER_GAP], point.rate[MESH_CLAMP] = upper_rate, lower_rate, clamp_rate
+    earlier_gaps = min(upper - before * upper_rate, lower - before * lower_rate)
+    least = min(min(upper, lower), min(clamp, clamp - before * clamp_rate))
+    return bool((least < 0.0) | (earlier_gaps < 0.0))
+
+
+@hot
+def push_rate(constants: Record, state: Record, point: Record, teeth: Mesh, rates: Rates) -> float:
+    """Rate of the unclamped mesh force in contact.
+
+    Up to products of the centres' speeds, which are some 1e-5 of it.
+    """
+    excitation = point.excitation
+    phi_rate, phi_acceleration = constants.teeth1 * point.omega[0], constants.teeth1 * rates.alpha[0]
+    if constants.nominal_phase:
+        phi_rate, phi_acceleration = constants.teeth1 * state.speed, 0.0
+    phi_rate2 = phi_rate * phi_rate
+    z = phi_rate2 * excitation[SURFACE_CURVATURE] + phi_acceleration * excitation[SURFACE_SLOPE]
+    e = phi_rate2 * excitation[ERROR_CURVATURE] + phi_acceleration * excitation[ERROR_SLOPE]
+    ax, ay = rates.ax[1] - rates.ax[0], rates.ay[1] - rates.ay[0]
+    acceleration = u_rate(constants, rates.alpha) - teeth.lean_x * ax - teeth.lean_y * ay
+    acceleration += 0.5 * state.flank * z - e
+    return float(
+        teeth.stiffness_rate * teeth.approach
+        + teeth.stiffness * teeth.approach_rate
+        + constants.damping * acceleration
+    )
 
 
 @hot
@@ -765,26 +832,27 @@ def try_step(
 ) -> bool:
     """Classic RK4 over ``h`` from ``here`` to ``end`` with frozen flags, in Nystrom's form.
 
-    Returns whether a surface was crossed, or a gap may have closed and opened again.
+    Returns whether a surface may have been crossed: the cubic through its values and rates stays positive
+    where its values and those a third of the step along the tangents are.
 
     ``end`` brings its excitations and those of the middle, for a phase that moves at ``reference_speed``; the
     stages lie close to these phases and take the difference by Taylor's series.
     """
     half, third, sixth = 0.5 * h, h / 3.0, h / 6.0
-    teeth = 0.0 if constants.nominal_phase else constants.teeth1
+    lagging = 0.0 if constants.nominal_phase else constants.teeth1
     start, first = motion_at(here), rates_at(here)
 
     motion2 = moved(constants, start, half, start, first)
-    lag = teeth * half * (start.omega[0] - reference_speed)
-    second, _, _, _, _ = dynamics(constants, state, motion2, end.middle, lag)
+    lag = lagging * half * (start.omega[0] - reference_speed)
+    second, teeth2, _, _, _ = dynamics(constants, state, motion2, end.middle, lag)
 
     motion3 = moved(constants, start, half, motion2, second)
-    lag = teeth * half * (motion2.omega[0] - reference_speed)
-    third_rates, _, _, _, _ = dynamics(constants, state, motion3, end.middle, lag)
+    lag = lagging * half * (motion2.omega[0] - reference_speed)
+    third_rates, teeth3, _, _, _ = dynamics(constants, state, motion3, end.middle, lag)
 
     motion4 = moved(constants, start, h, motion3, third_rates)
-    lag = teeth * h * (motion3.omega[0] - reference_speed)
-    fourth, _, _, _, _ = dynamics(constants, state, motion4, end.excitation, lag)
+    lag = lagging * h * (motion3.omega[0] - reference_speed)
+    fourth, teeth4, _, _, _ = dynamics(constants, state, motion4, end.excitation, lag)
 
     # Positions need k1 + k2 + k3 of the accelerations, speeds k1 + 2 k2 + 2 k3 + k4.
     ax, ay, alpha = second.ax + third_rates.ax, second.ay + third_rates.ay, second.alpha + third_rates.alpha
@@ -830,12 +898,65 @@ def try_step(
         ),
     )
     end.time = here.time + h
+    end.lag = lagging * h * (turned[0] - reference_speed)
+    if state.flank != 0.0:
+        end.lag += lagging * add_surface_impulse(constants, state, here, end, h, teeth2, teeth3, teeth4)
     end.turn = TURNS_PER_RADIAN * end.theta1
     if constants.nominal_phase:
         end.turn = here.turn + TURNS_PER_RADIAN * h * state.speed
-    end.lag = teeth * h * (turned[0] - reference_speed)
-    grazing = any_negative(load4(here.value, 0) + h * load4(here.rate, 0))
-    return evaluate(constants, state, end) or bool(grazing)
+    leaving = load8(here.value, 0) + third * load8(here.rate, 0)
+    last = EVENT_COUNT - 1
+    eventful = any_negative(leaving) | (here.value[last] + third * here.rate[last] < 0.0)
+    return bool(evaluate(constants, state, end, third) | eventful)
+
+
+@hot
+def add_surface_impulse(
+    constants: Record,
+    state: Record,
+    here: Record,
+    end: Record,
+    h: float,
+    second: Mesh,
+    third: Mesh,
+    fourth: Mesh,
+) -> float:
+    """Make up for what RK4 misses of the surfaces' share of the mesh force, f/2 (k1 z + c1 dz/dt).
+
+    The shortest waves turn by a radian in a step; RK4 sums them by Simpson's rule, and the impacts magnify
+    its error a hundredfold. Here the integral of dz/dt is the difference of z, that of z is taken to sixth
+    order from values and rates, and the speed that dz/dt gives enters the damping. Returns how far gear 1
+    turns by it, in rad.
+    """
+    z0, s0, z1, s1 = here.surface, here.surface_rate, fourth.surface, fourth.surface_rate
+    z_middle = 0.5 * (second.surface + third.surface)
+    s_middle = 0.5 * (second.surface_rate + third.surface_rate)
+    integral = h * (7.0 * (z0 + z1) + 16.0 * z_middle) / 30.0 + h * h * (s0 - s1) / 60.0
+    damping, grip = 0.0, 0.5 * state.flank
+    if constants.contact_damping:
+        damping = constants.damping
+        grip *= 1.0 - state.mesh_clamped
+    taken = 2.0 * (second.surface + third.surface - 2.0 * z0) - h * (s0 + second.surface_rate)
+    taken = h / 6.0 * (taken + (z1 - z0) - h * third.surface_rate)
+    impulse = grip * (
+        damping * ((z1 - z0) - h / 6.0 * (s0 + 4.0 * s_middle + s1))
+        + third.stiffness * (integral - h / 6.0 * (z0 + 4.0 * z_middle + z1))
+        - damping * damping * constants.per_mesh_mass * taken
+    )
+    shift = grip * damping * (integral - h * z0 - h * h / 6.0 * (s0 + 2.0 * s_middle))
+    per_mass = load2(constants.per_mass, 0)
+    per_inertia = load2(constants.base_radius, 0) * load2(constants.per_inertia, 0)
+    push, move = both(-impulse, impulse) * per_mass, both(-shift, shift) * per_mass
+    turn = both(-shift, shift) * per_inertia
+    store(end.vx, 0, load2(end.vx, 0) + push * third.along_x)
+    store(end.vy, 0, load2(end.vy, 0) + push * third.along_y)
+    store(end.omega, 0, load2(end.omega, 0) + both(-impulse, impulse) * per_inertia)
+    store(end.x, 0, load2(end.x, 0) + move * third.along_x)
+    store(end.y, 0, load2(end.y, 0) + move * third.along_y)
+    end.u += u_rate(constants, turn)
+    end.theta1 += turn[0]
+    end.mesh_impulse += impulse
+    return float(turn[0])
 
 
 @compiled
@@ -901,15 +1022,9 @@ def hermite_root(v0: float, r0: float, v1: float, r1: float) -> float:
 
 
 @compiled
-def has_rate(event: int) -> bool:
-    """Whether the rate of ``event`` is known: clamps have none, it would need accelerations."""
-    return event < MESH_CLAMP or event >= FILM_LIMIT
-
-
-@compiled
 def event_tolerance(event: int) -> float:
     """How close to zero ``event`` is located, relative to the change of its value."""
-    return GAP_TOLERANCE if has_rate(event) else CLAMP_TOLERANCE
+    return CLAMP_TOLERANCE if MESH_CLAMP <= event < FILM_LIMIT else GAP_TOLERANCE
 
 
 @compiled
@@ -922,10 +1037,7 @@ def first_violated(here: Record, end: Record, h: float) -> int:
             v0 = here.value[event]
             at = 0.0
             if v0 > 0.0:
-                if has_rate(event):
-                    at = hermite_root(v0, h * here.rate[event], v1, h * end.rate[event])
-                else:
-                    at = v0 / (v0 - v1)
+                at = hermite_root(v0, h * here.rate[event], v1, h * end.rate[event])
             if at < earliest:
                 first, earliest = event, at
     return first
@@ -933,13 +1045,13 @@ def first_violated(here: Record, end: Record, h: float) -> int:
 
 @compiled
 def grazing_fraction(here: Record, end: Record, h: float) -> float:
-    """Fraction of the step at which a gap seems to close and open again, or 0.
+    """Fraction of the step at which a surface seems to be crossed and crossed back, or 0.
 
-    Looks at gaps that are open at both ends but close at the start and open at the end.
+    Looks at values that are positive at both ends but fall at the start and rise at the end.
     """
-    for event in range(GAP_COUNT):
+    for event in range(EVENT_COUNT):
         v0, r0 = here.value[event], h * here.rate[event]
-        if v0 > 0.0 and v0 + r0 < 0.0:
+        if v0 > 0.0 and r0 < 0.0:
             v1, r1 = end.value[event], h * end.rate[event]
             if r1 > 0.0:
                 c2 = 3.0 * (v1 - v0) - 2.0 * r0 - r1
@@ -1043,7 +1155,7 @@ def settle(constants: Record, event: int, state: Record, here: Record, impacts: 
 @compiled
 def reevaluate(constants: Record, state: Record, here: Record) -> None:
     """``evaluate``, kept apart so that a rare call does not swell its caller."""
-    evaluate(constants, state, here)
+    evaluate(constants, state, here, 0.0)
 
 
 @compiled
@@ -1061,23 +1173,20 @@ def locate(
     """Shorten the trial step ``h`` from ``here`` to ``end`` to the first event in it.
 
     That is ``event``, positive at ``here`` and negative at ``end``, or one before it. Each trial is a step of
-    its own; the next one is at the root of a cubic through values and rates of the bracket, or for clamps
-    where the Illinois secant falls. Returns (shortened step, event, 1 if the search met its limit of trials).
+    its own, at the root of a cubic through values and rates of the bracket; the late ones bisect. Returns
+    (shortened step, event, 1 if the search met its limit of trials).
     """
     copy(here, low_end)
     low, high = 0.0, h
     v_high, r_high = end.value[event], end.rate[event]
     tolerance = event_tolerance(event) * (low_end.value[event] - v_high)
-    weight_low, weight_high, side = 1.0, 1.0, 0
     at = h
-    for _ in range(SEARCH_LIMIT):
-        v_low, width = low_end.value[event], high - low
-        if has_rate(event):
-            fraction = hermite_root(v_low, width * low_end.rate[event], v_high, width * r_high)
-        else:
-            fraction = weight_low * v_low / (weight_low * v_low - weight_high * v_high)
+    for trial in range(SEARCH_LIMIT):
+        width = high - low
+        v_low, r_low = low_end.value[event], low_end.rate[event]
+        fraction = hermite_root(v_low, width * r_low, v_high, width * r_high)
         at = low + fraction * width
-        if not (low < at < high):
+        if not (low < at < high) or trial >= SEARCH_LIMIT // 2:
             at = 0.5 * (low + high)
         try_apart(constants, state, here, end, waves, amplitudes, at)
         earlier = -1
@@ -1085,25 +1194,19 @@ def locate(
             v0, v1 = low_end.value[other], end.value[other]
             if other != event and v0 > 0.0 and v1 < -event_tolerance(other) * (v0 - v1):
                 earlier = other
-        value = end.value[event if earlier < 0 else earlier]
         if earlier >= 0:
             event, high = earlier, at
-            v_high, r_high = value, end.rate[event]
-            tolerance = event_tolerance(event) * (low_end.value[event] - value)
-            weight_low, weight_high, side = 1.0, 1.0, 0
-        elif abs(value) <= tolerance or width <= 1e-12 * h:
+            v_high, r_high = end.value[event], end.rate[event]
+            tolerance = event_tolerance(event) * (low_end.value[event] - v_high)
+            continue
+        value = end.value[event]
+        if abs(value) <= tolerance or width <= 1e-12 * h:
             return at, event, 0
-        elif value < 0.0:
+        if value < 0.0:
             high, v_high, r_high = at, value, end.rate[event]
-            weight_high = 1.0
-            weight_low = 0.5 * weight_low if side == -1 else 1.0
-            side = -1
         else:
             low = at
             copy(end, low_end)
-            weight_low = 1.0
-            weight_high = 0.5 * weight_high if side == 1 else 1.0
-            side = 1
     return at, event, 1
 
 
@@ -1126,7 +1229,6 @@ def split_step(
     step = constants.step
     done, h, stops = 0.0, longest, 0
     tried = True
-    contacts = state.contact[0] + state.contact[1]
     while True:
         if not tried:
             try_apart(constants, state, here, end, waves, amplitudes, h)
@@ -1153,7 +1255,6 @@ def split_step(
                 stops += 1
             if stops == STOPS_PER_STEP:
                 state.capped += 1
-        note_clamp_rates(here, end, h)
         copy(end, here)
         note_peak(state, here)
         done += h
@@ -1162,11 +1263,7 @@ def split_step(
         h = step - done
         if h <= SHORTEST_SUBSTEP * step:
             break
-        h = min(h, longest)
-        begun = state.contact[0] + state.contact[1] > contacts
-        contacts = state.contact[0] + state.contact[1]
-        if begun:
-            h *= ONSET_FRACTION
+        h = min(h, longest, longest_at_onset(constants, state, here, h))
     if stops >= STOPS_PER_STEP:
         late = -1
         for event in range(EVENT_COUNT):
@@ -1184,7 +1281,7 @@ def longest_substep(constants: Record, state: Record, here: Record) -> float:
     pressed in later it would overshoot its own resting point.
     """
     rate = max(here.damping[0] * constants.per_mass[0], here.damping[1] * constants.per_mass[1])
-    step: float = constants.step
+    step: float = longest_at_onset(constants, state, here, constants.step)
     substeps = 1.0
     while step * rate > STIFFNESS_LIMIT * substeps:
         substeps *= 2.0
@@ -1195,10 +1292,14 @@ def longest_substep(constants: Record, state: Record, here: Record) -> float:
 
 
 @compiled
-def note_clamp_rates(here: Record, end: Record, h: float) -> None:
-    """The clamps' mean rates over the substep, in place of the rates that would need accelerations."""
-    for event in range(MESH_CLAMP, FILM_LIMIT):
-        end.rate[event] = (end.value[event] - here.value[event]) / h
+def longest_at_onset(constants: Record, state: Record, here: Record, h: float) -> float:
+    """``h``, or less of it while a bearing contact is young: delta^1.5 is not smooth where it begins."""
+    longest = h
+    for gear in range(2):
+        if state.contact[gear] == 1.0 and not constants.kelvin:
+            age = here.time - state.impact_time[gear]
+            longest = min(longest, max(age, ONSET_FRACTION * constants.step))
+    return longest
 
 
 @hot
@@ -1392,7 +1493,7 @@ def open_point(constants: Record, state: Record, here: Record, waves: Pointer, a
     here.lag = 0.0
     refresh(constants, state, here, waves, speed)
     store(here.excitation, 0, sum_waves(constants, waves, amplitudes, COSINE, SINE))
-    evaluate(constants, state, here)
+    evaluate(constants, state, here, 0.0)
 
 
 @compiled

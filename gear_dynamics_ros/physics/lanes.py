@@ -28,13 +28,13 @@ class Lanes(types.Type):
 
     def __init__(self, count: int) -> None:
         self.count = count
-        super().__init__(name=f"Lanes({count})")
+        super().__init__(f"Lanes({count})")
 
 
 @register_model(Lanes)
 class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager: Any, lanes: Lanes) -> None:
-        super().__init__(manager, lanes, ir.VectorType(DOUBLE, lanes.count))
+        super().__init__(manager, lanes, ir.VectorType(DOUBLE, lanes.count))  # type: ignore[no-untyped-call]
 
 
 def _spread(builder: ir.IRBuilder, number: ir.Value, count: int) -> ir.Value:
