@@ -217,6 +217,8 @@ def dip(
 ) -> tuple[float, float]:
     """Lowest value of `event`, and when, about the second of three times if it can reach zero there."""
     (before, at, after), (left, middle, right) = times, values
+    if not before < at < after:
+        return middle, at
     steepest = max((left - middle) / (at - before), (right - middle) / (after - at))
     if middle > min(left, right) or middle > steepest * (after - before):
         return middle, at
