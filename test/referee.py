@@ -24,7 +24,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 from scipy.integrate import DOP853
-from scipy.optimize import brentq
+from scipy.optimize import brentq, minimize_scalar
 
 CHANNELS = (
     "time", "dte", "dte_rate", "mesh_force", "pressure_angle", "position_angle", "half_backlash",
@@ -40,7 +40,7 @@ CHANNELS = (
 RTOL = 2e-12
 # x1 y1 x2 y2, u, theta1, vx1 vy1 vx2 vy2, omega1 omega2
 ATOL = np.array([1e-17] * 4 + [1e-17, 1e-13] + [1e-12] * 4 + [1e-10] * 2)
-LOOKS = 4  # looks for a sign change within one integration step
+LOOKS = np.array([0.0, 1e-3, 0.25, 0.5, 0.75, 0.999, 1.0])  # at the events' values within one step
 EVENTS_AT_ONCE = 20  # more at one instant would be a run that no longer moves
 
 Vector = NDArray[np.float64]
@@ -210,6 +210,25 @@ def film_force(
     fx = -unit * (3.0 * ex * V - sin_al * G - 2.0 * cos_al * S)
     fy = -unit * (3.0 * ey * V + cos_al * G - 2.0 * sin_al * S)
     return fx, fy
+
+
+def dip(
+    event: Event, dense: Callable[[float], Vector], times: Sequence[float], values: Sequence[float]
+) -> tuple[float, float]:
+    """Lowest value of `event`, and when, about the second of three times if it can reach zero there."""
+    (before, at, after), (left, middle, right) = times, values
+    if not before < at < after:
+        return middle, at
+    steepest = max((left - middle) / (at - before), (right - middle) / (after - at))
+    if middle > min(left, right) or middle > steepest * (after - before):
+        return middle, at
+    inner = minimize_scalar(
+        lambda t: event.value(t, dense(t)),
+        bounds=(before, after),
+        method="bounded",
+        options={"xatol": 1e-4 * (at - before)},
+    )
+    return min((middle, at), (float(inner.fun), float(inner.x)))
 
 
 class Referee:
@@ -489,23 +508,35 @@ class Referee:
 
     def _first_event(self, solver: DOP853) -> tuple[Event | None, float]:
         """The event met first in the solver's last step, and when."""
-        switches = self.switches()
         dense = solver.dense_output()
-        before = solver.t_old
-        for after in np.linspace(solver.t_old, solver.t, LOOKS + 1)[1:]:
-            state = dense(after) if after < solver.t else solver.y
-            met = [s for s in switches if s.value(after, state) < 0.0]
-            if met:
-                times = [self._crossing(s, dense, solver.t_old, before, float(after)) for s in met]
-                first = int(np.argmin(times))
-                return met[first], times[first]
-            before = float(after)
-        return None, math.inf
+        times = solver.t_old + LOOKS * (solver.t - solver.t_old)
+        states = [dense(t) for t in times]
+        first, earliest = None, math.inf
+        for switch in self.switches():
+            values = [switch.value(t, y) for t, y in zip(times, states, strict=True)]
+            low, high = self._overstepped(switch, dense, times, values)
+            if high < math.inf and low < earliest:
+                when = self._crossing(switch, dense, low, high)
+                if when < earliest:
+                    first, earliest = switch, when
+        return first, earliest
 
     @staticmethod
-    def _crossing(
-        event: Event, dense: Callable[[float], Vector], start: float, low: float, high: float
-    ) -> float:
+    def _overstepped(
+        event: Event, dense: Callable[[float], Vector], times: Vector, values: Sequence[float]
+    ) -> tuple[float, float]:
+        """Times between which `event` is met first: the last one known before it, the first one past it."""
+        for i in range(1, len(times)):
+            if i > 1:
+                lowest, when = dip(event, dense, times[i - 2 : i + 1], values[i - 2 : i + 1])
+                if lowest < 0.0:
+                    return float(times[i - 2]), when
+            if values[i] < 0.0:
+                return float(times[i - 1]), float(times[i])
+        return math.inf, math.inf
+
+    @staticmethod
+    def _crossing(event: Event, dense: Callable[[float], Vector], low: float, high: float) -> float:
         def value(t: float) -> float:
             return event.value(t, dense(t))
 
@@ -577,3 +608,45 @@ class Referee:
             rows.append(self.sample())
             self.advance((k + 1) * self.interval)
         return np.array(rows)
+
+
+class Unseeing(Referee):
+    """A run that overlooks one event within a window of time, and keeps how far its surface was overstepped.
+
+    What it keeps is a smooth function of every parameter on both sides of a contact that just touches, so
+    that such a run can be found by the secant method.
+    """
+
+    def __init__(self, tree: Tree, overlooked: str, window: tuple[float, float]) -> None:
+        self.overlooked, self.window = overlooked, window
+        self.lowest = math.inf
+        super().__init__(tree)
+
+    def _in_window(self) -> bool:
+        return self.window[0] <= self.t < self.window[1]
+
+    def switches(self) -> list[Event]:
+        return [s for s in super().switches() if s.name != self.overlooked or not self._in_window()]
+
+    def _first_event(self, solver: DOP853) -> tuple[Event | None, float]:
+        event, when = super()._first_event(solver)
+        start, end = max(solver.t_old, self.window[0]), min(solver.t, when)
+        surface = next((s for s in super().switches() if s.name == self.overlooked), None)
+        if surface is not None and self._in_window() and end > start:
+            dense = solver.dense_output()
+            times = start + LOOKS * (end - start)
+            values = [surface.value(t, dense(t)) for t in times]
+            dips = [
+                dip(surface, dense, times[i - 1 : i + 2], values[i - 1 : i + 2])[0]
+                for i in range(1, len(times) - 1)
+            ]
+            self.lowest = min(self.lowest, *values, *dips)
+        return event, when
+
+
+def clearest(tree: Tree, event: str, window: tuple[float, float]) -> float:
+    """How close a run comes to `event` within `window`: negative where it oversteps the surface."""
+    run = Unseeing(tree, event, window)
+    run.advance(window[0])
+    run.advance(window[1])
+    return run.lowest
