@@ -210,7 +210,7 @@ def test_a_state_that_is_not_finite_ends_the_run_without_showing_it() -> None:
     engine = Engine(parameters(**PAPER, model="compared"))
     engine.advance(50)
     spoiled = engine.checkpoint()
-    spoiled["state"][6] = math.nan
+    spoiled["state"]["vx"] = [math.nan, 0.0]
     engine.restore(spoiled)
     chunk = engine.advance(100)
     assert chunk.status is Status.NON_FINITE

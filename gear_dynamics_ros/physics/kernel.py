@@ -81,8 +81,8 @@ GAP_TOLERANCE = 1e-8
 CLAMP_TOLERANCE = 1e-6
 SEARCH_LIMIT = 30
 STOPS_PER_STEP = 24
-# Of the step, for the first substep of a bearing contact; the following ones are no longer than its age.
-ONSET_FRACTION = 0.1
+# Of the step: the shortest substep that the beginning or end of a bearing contact asks for.
+GAP_FRACTION = 0.1
 # The largest product of substep and damping rate of a bearing contact; RK4 itself bears 2.78.
 STIFFNESS_LIMIT = 0.25
 SUBSTEPS_LIMIT = 4096.0
@@ -184,6 +184,7 @@ STATE = whole_lines(
         *MOTION,
         ("impact_speed", F8, 2),  # m/s, latched: v_impact of (6)
         ("impact_time", F8, 2),  # s, when the contact began
+        ("contact_age", F8, 2),  # s since then
         ("approach", F8, 2),  # m/s, closing speed then
         ("peak_force2", F8, 2),  # N^2, greatest contact force since then, squared
         ("nominal_turn", F8),  # nominal angle of gear 1 in turns, 0 to 1
@@ -1099,6 +1100,7 @@ def begin_contact(constants: Record, gear: int, state: Record, here: Record) -> 
     state.impact_speed[gear] = max(here.closing[gear], constants.minimum_impact_speed)
     state.approach[gear] = here.closing[gear]
     state.impact_time[gear] = here.time
+    state.contact_age[gear] = 0.0
     state.peak_force2[gear] = 0.0
     state.impacts += 1
 
@@ -1256,14 +1258,14 @@ def split_step(
             if stops == STOPS_PER_STEP:
                 state.capped += 1
         copy(end, here)
-        note_peak(state, here)
+        note_contacts(state, here, h)
         done += h
         if event >= 0:
             settle(constants, event, state, here, impacts)
         h = step - done
         if h <= SHORTEST_SUBSTEP * step:
             break
-        h = min(h, longest, longest_at_onset(constants, state, here, h))
+        h = min(h, longest, longest_near_gap(constants, state, here, h))
     if stops >= STOPS_PER_STEP:
         late = -1
         for event in range(EVENT_COUNT):
@@ -1281,7 +1283,7 @@ def longest_substep(constants: Record, state: Record, here: Record) -> float:
     pressed in later it would overshoot its own resting point.
     """
     rate = max(here.damping[0] * constants.per_mass[0], here.damping[1] * constants.per_mass[1])
-    step: float = longest_at_onset(constants, state, here, constants.step)
+    step: float = longest_near_gap(constants, state, here, constants.step)
     substeps = 1.0
     while step * rate > STIFFNESS_LIMIT * substeps:
         substeps *= 2.0
@@ -1292,21 +1294,30 @@ def longest_substep(constants: Record, state: Record, here: Record) -> float:
 
 
 @compiled
-def longest_at_onset(constants: Record, state: Record, here: Record, h: float) -> float:
-    """``h``, or less of it while a bearing contact is young: delta^1.5 is not smooth where it begins."""
+def longest_near_gap(constants: Record, state: Record, here: Record, h: float) -> float:
+    """``h``, or less where a bearing contact begins or ends, where delta^1.5 is not smooth.
+
+    No substep is longer than the age of a contact, nor than half the time it seems to have left.
+    """
     longest = h
+    if constants.kelvin:
+        return longest
+    shortest = GAP_FRACTION * constants.step
     for gear in range(2):
-        if state.contact[gear] == 1.0 and not constants.kelvin:
-            age = here.time - state.impact_time[gear]
-            longest = min(longest, max(age, ONSET_FRACTION * constants.step))
+        if state.contact[gear] == 1.0:
+            longest = min(longest, max(state.contact_age[gear], shortest))
+            opening = -here.closing[gear]
+            if 2.0 * longest * opening > here.penetration[gear]:
+                longest = max(0.5 * here.penetration[gear] / opening, min(longest, shortest))
     return longest
 
 
 @hot
-def note_peak(state: Record, here: Record) -> None:
-    """Keep the greatest force of either bearing's contact."""
+def note_contacts(state: Record, here: Record, h: float) -> None:
+    """Keep age and greatest force of both bearings' contacts after a step of ``h`` to ``here``."""
     force_x, force_y = load2(here.contact_x, 0), load2(here.contact_y, 0)
     store(state.peak_force2, 0, at_least(force_x * force_x + force_y * force_y, load2(state.peak_force2, 0)))
+    store(state.contact_age, 0, load2(state.contact_age, 0) + h)
 
 
 @hot
@@ -1458,7 +1469,7 @@ def step_on(
     store(end.excitation, 0, sum_waves(constants, waves, amplitudes, COSINE, SINE))
     if longest == step:
         if not try_step(constants, state, here, end, step, reference_speed):
-            note_peak(state, end)
+            note_contacts(state, end, step)
             close_step(constants, state, end, waves, TURNS_PER_RADIAN * end.lag / constants.teeth1)
             return False
     else:
