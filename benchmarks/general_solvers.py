@@ -216,10 +216,10 @@ def draw(results: dict[str, list[Result]], path: Path) -> None:
         panel.grid(alpha=0.3)
     panels[0].set_ylabel("processor time for 1 ms, ms")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
-    figure.canvas.draw()
-    picture = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())).convert("RGB")
-    picture.quantize(PICTURE_COLOURS).save(path, optimize=True)
+    figure.savefig(path, dpi=100)
     plt.close(figure)
+    with Image.open(path) as picture:
+        picture.convert("RGB").quantize(PICTURE_COLOURS).save(path, optimize=True)
 
 
 def main() -> None:
