@@ -130,8 +130,6 @@ struct gearbox {
     struct moment moments[2], *here, *end;
 };
 
-/* ---- Excitations ---------------------------------------------------------------------------------------- */
-
 /* Sum of all waves at turn, the fraction of the hunting cycle. */
 static void excite(const struct waves *waves, double turn, struct excitation *excitation)
 {
@@ -171,9 +169,14 @@ static void excite(const struct waves *waves, double turn, struct excitation *ex
     }
 
     double sum[EXCITATIONS] = {0.0};
-    for (size_t j = 0; j < count; j++)
+    for (size_t j = 0; j < count; j++) {
+        const double *of_cosine = waves->of_cosine[j], *of_sine = waves->of_sine[j];
+        const double c = cosine[j], s = sine[j];
+        /* Unrolled early, gcc would gather eight waves into a vector rather than the eight columns at hand. */
+#pragma GCC unroll 1
         for (size_t k = 0; k < EXCITATIONS; k++)
-            sum[k] += cosine[j] * waves->of_cosine[j][k] + sine[j] * waves->of_sine[j][k];
+            sum[k] += c * of_cosine[k] + s * of_sine[k];
+    }
     memcpy(excitation->sum, sum, sizeof sum);
 }
 
@@ -182,8 +185,6 @@ static inline double cycle_fraction(const struct gearbox *g, double turn)
 {
     return ((double)g->turn + turn) / (double)g->constants.hunting;
 }
-
-/* ---- Right-hand side ------------------------------------------------------------------------------------ */
 
 static inline double arctangent(double x)
 {
@@ -314,9 +315,13 @@ static inline double position_angle(double dx, double dy)
     return slope * (1.0 - s2 * (1.0 / 3.0 - s2 * (0.2 - s2 * (1.0 / 7.0 - s2 * (1.0 / 9.0)))));
 }
 
-/* Accelerations and switching surfaces (21)-(32) at state, contacts frozen. */
-static inline void dynamics(const struct gearbox *g, const struct state *state, const double *excitation,
-                            double lag, struct point *point)
+/*
+ * Accelerations and switching surfaces (21)-(32) at state, contacts frozen. Inlined by force: a stage of a step
+ * wants the accelerations alone, and gcc finds the function too large to drop the rest by itself.
+ */
+__attribute__((always_inline)) static inline void dynamics(const struct gearbox *g, const struct state *state,
+                                                           const double *excitation, double lag,
+                                                           struct point *point)
 {
     const struct constants *k = &g->constants;
     const struct contacts *contacts = &g->contacts;
@@ -427,8 +432,6 @@ static void evaluate(const struct gearbox *g, struct moment *moment)
     dynamics(g, &moment->state, moment->excitation.sum, moment->lag, &moment->point);
 }
 
-/* ---- Integrator ----------------------------------------------------------------------------------------- */
-
 static inline void position_rates(const struct constants *k, const struct state *state, double *rate)
 {
     const double *velocity = state->velocity;
@@ -509,8 +512,6 @@ static inline void accept(struct gearbox *g)
     g->here = g->end;
     g->end = before;
 }
-
-/* ---- Events --------------------------------------------------------------------------------------------- */
 
 /* Of a cubic over the unit bracket: v0 + s (r0 + s (c2 + s c3)). */
 struct cubic {
@@ -858,8 +859,6 @@ static void split_step(struct gearbox *g, double longest)
     }
 }
 
-/* ---- Steps and samples ---------------------------------------------------------------------------------- */
-
 static int64_t modulo(int64_t value, int64_t divisor)
 {
     const int64_t rest = value % divisor;
@@ -985,8 +984,6 @@ static void write_sample(const struct gearbox *g, double time, double turn, doub
     angles[1] = (k->base_radius1 * angles[0] - position[U]) / k->base_radius2;
 }
 
-/* ---- What Python calls ---------------------------------------------------------------------------------- */
-
 void gearbox_free(struct gearbox *g)
 {
     if (g == NULL)
@@ -1069,7 +1066,7 @@ struct counters gearbox_counters(const struct gearbox *g)
     return g->counters;
 }
 
-/* Right-hand sides, one after the other along the present velocity; the result keeps them from being dropped. */
+/* Right-hand sides one after the other, each from the last; the result keeps them from being dropped. */
 double gearbox_evaluations(const struct gearbox *g, size_t count)
 {
     struct moment moment = *g->here;
