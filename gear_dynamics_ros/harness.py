@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.ros_yaml import parse_yaml
-from gear_dynamics_ros.signals import CHANNEL_NAMES, Commands
+from gear_dynamics_ros.signals import COLUMN, Commands
 
 FLANK_STATES = {"drive": 1.0, "apart": 0.0, "back": -1.0}
 CHANNEL_MEASURES = ("every", "smallest", "largest", "mean", "rms")
@@ -268,7 +268,7 @@ def _expectation(where: str, entry: object) -> Expectation:
     if measure == "share":
         state = FLANK_STATES[_choice(tree, measure, where, tuple(FLANK_STATES))]
     else:
-        channel = _choice(tree, measure, where, CHANNEL_NAMES)
+        channel = _choice(tree, measure, where, tuple(COLUMN))
     name = _text(tree, "name", where, f"{measure} {tree[measure]}")
     return Expectation(name, measure, channel, state, start, end, minimum, maximum)
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_typestore
 
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.signals import CHANNELS, COLUMN, Chunk, Commands
+from gear_dynamics_ros.signals import CHANNELS, COLUMN, ENERGIES, IMPACTS, Chunk, Commands
 
 TYPESTORE: Final = get_typestore(Stores.ROS2_JAZZY)
 
@@ -83,6 +83,22 @@ TOPICS: Final[dict[str, Topic]] = {
     "waveform": Topic(
         "~/waveform", ARRAY, True, WAVEFORM_DEPTH, False, "every sample of the chunk, a row each; SI units"
     ),
+    "energy": Topic(
+        "~/energy",
+        ARRAY,
+        True,
+        10,
+        False,
+        "works and losses since the start or the last reset, and stored, J",
+    ),
+    "impacts": Topic(
+        "~/impacts",
+        ARRAY,
+        True,
+        WAVEFORM_DEPTH,
+        False,
+        "a row for each bearing contact that ended in the chunk, nothing where none did; SI units",
+    ),
     "meshing_state": Topic("~/meshing_state", INT8, True, 10, False, "1 drive flank, 0 apart, -1 back flank"),
     "diagnostics": Topic(
         "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", True, 10, False, "health of engine and sinks"
@@ -135,13 +151,13 @@ def stamp_ns(time: Any) -> int:
     return int(time.sec) * 1_000_000_000 + int(time.nanosec)
 
 
-def waveform_message(names: Sequence[str], samples: NDArray[np.float64]) -> Any:
-    """Float64MultiArray of samples (n, len(names))."""
+def waveform_message(names: Sequence[str], samples: NDArray[np.float64], row: str = "sample") -> Any:
+    """Float64MultiArray of samples (n, len(names)); ``row`` says what one row is."""
     dimension = message_class("std_msgs/msg/MultiArrayDimension")
     rows, columns = samples.shape
     layout = message_class("std_msgs/msg/MultiArrayLayout")(
         dim=[
-            dimension(label="sample", size=rows, stride=rows * columns),
+            dimension(label=row, size=rows, stride=rows * columns),
             dimension(label=",".join(names), size=columns, stride=columns),
         ],
         data_offset=0,
@@ -150,7 +166,7 @@ def waveform_message(names: Sequence[str], samples: NDArray[np.float64]) -> Any:
 
 
 def waveform_samples(message: Any) -> tuple[tuple[str, ...], NDArray[np.float64]]:
-    """Channel names and samples (n, channels) of a waveform message."""
+    """Names of the columns and rows (n, columns) of a message laid out like the waveform."""
     names = tuple(message.layout.dim[1].label.split(","))
     return names, np.asarray(message.data, dtype=np.float64).reshape(-1, len(names))
 
@@ -196,7 +212,9 @@ class Encoder:
         self._channels = tuple(parameters.waveform_channels)
         self._columns = [COLUMN[name] for name in self._channels]
         self._all_channels = self._columns in (list(range(len(CHANNELS))), list(range(len(COLUMN))))
-        self._waveform_prefixes: dict[int, bytes] = {}
+        self._waveform = _Packer("sample", self._channels)
+        self._energy = _Packer("sample", [energy.name for energy in ENERGIES])
+        self._impacts = _Packer("impact", [entry.name for entry in IMPACTS])
 
     def chunk(self, chunk: Chunk) -> list[Record]:
         """All messages of one chunk, stamped at its last sample; none of a chunk without samples."""
@@ -212,8 +230,11 @@ class Encoder:
             "driving_bearing_force": _bearing_force(time_ns, last, "driving"),
             "driven_bearing_force": _bearing_force(time_ns, last, "driven"),
             "meshing_state": _int8(_flank(last["meshing_state"])),
-            "waveform": self._waveform(chunk.samples),
+            "energy": self._energy.pack(chunk.energies[None, :]),
         }
+        if len(chunk.impacts):
+            payloads["impacts"] = self._impacts.pack(chunk.impacts)
+        payloads["waveform"] = self._waveform.pack(self._picked(chunk.samples))
         return [Record(topic, time_ns, data) for topic, data in payloads.items()]
 
     def applied(self, commands: Commands, sample: int) -> Record:
@@ -245,14 +266,25 @@ class Encoder:
         )
         return serialize(JOINT_STATE, message)
 
-    def _waveform(self, samples: NDArray[np.float64]) -> bytes:
-        picked = samples if self._all_channels else np.ascontiguousarray(samples[:, self._columns])
-        prefix = self._waveform_prefixes.get(len(picked))
+    def _picked(self, samples: NDArray[np.float64]) -> NDArray[np.float64]:
+        return samples if self._all_channels else np.ascontiguousarray(samples[:, self._columns])
+
+
+class _Packer:
+    """Makes CDR of rows under fixed names; what precedes the numbers is made once for each count of rows."""
+
+    def __init__(self, row: str, names: Sequence[str]) -> None:
+        self._row = row
+        self._names = names
+        self._prefixes: dict[int, bytes] = {}
+
+    def pack(self, rows: NDArray[np.float64]) -> bytes:
+        prefix = self._prefixes.get(len(rows))
         if prefix is None:
-            whole = serialize(ARRAY, waveform_message(self._channels, picked))
-            prefix = self._waveform_prefixes[len(picked)] = whole[: -picked.nbytes]
+            whole = serialize(ARRAY, waveform_message(self._names, rows, self._row))
+            prefix = self._prefixes[len(rows)] = whole[: len(whole) - rows.nbytes]
         # NumPy's own order may be another than the little endian that the CDR header promises
-        return prefix + picked.astype("<f8", copy=False).tobytes()
+        return prefix + rows.astype("<f8", copy=False).tobytes()
 
 
 # The smallest messages are packed by hand: four of them are made per chunk.

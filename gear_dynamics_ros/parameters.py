@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, TypeAlias
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.physics.surface import LARGEST_ORDER
 from gear_dynamics_ros.ros_yaml import SMALLEST_NORMAL, Tree, parse_yaml, resolve, scalar_text
-from gear_dynamics_ros.signals import CHANNEL_NAMES
+from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN
 
 Value: TypeAlias = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
 
@@ -390,8 +390,8 @@ class Parameters:
     waveform_channels: tuple[str, ...] = spec(
         CHANNEL_NAMES,
         "channels of the waveform, time first",
-        choices=CHANNEL_NAMES,
-        length=(1, len(CHANNEL_NAMES)),
+        choices=tuple(COLUMN),
+        length=(1, len(COLUMN)),
     )
     clock_rate: float = spec(0.0, "rate of /clock; 0 is none", unit="Hz", minimum=0.0, maximum=1e4)
 
@@ -468,8 +468,8 @@ def reference() -> str:
     for row in specifications().values():
         kind = f"list of {row.element.__name__}" if row.type is tuple else row.type.__name__
         default, allowed = f"`{_text(row.default)}`", row.limits
-        if row.choices == CHANNEL_NAMES:
-            default, allowed = "all channels", "channel names"
+        if row.choices == tuple(COLUMN):
+            default, allowed = "all but the energies", "names of channels and energies"
         if row.length:
             allowed = f"{row.length[0]} to {row.length[1]} entries, {allowed}"
         runtime = "yes" if row.runtime else ""

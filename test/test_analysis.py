@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 from matplotlib.image import imread
 from numpy.typing import NDArray
 
-from gear_dynamics_ros.analysis import sections, spectra
+from gear_dynamics_ros.analysis import ledger, sections, spectra
 from gear_dynamics_ros.analysis.samples import Samples
 from gear_dynamics_ros.analysis.statistics import Envelope, Quantities, Statistics, quantities
 from gear_dynamics_ros.analysis.summary import Span, steady_window
@@ -21,7 +22,7 @@ from gear_dynamics_ros.messages import Encoder
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics.derived import base_radii
 from gear_dynamics_ros.recording.writer import Recorder
-from gear_dynamics_ros.signals import CHANNEL_NAMES
+from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN
 
 INTERVAL = 1e-5
 FIGURES = ("overview", "time_series", "spectrum", "phase_portrait", "orbits", "bearing_force")
@@ -205,7 +206,8 @@ def test_analyze_draws_and_counts(bag: Path, tmp_path: Path, capsys: pytest.Capt
     output = tmp_path / "new" / "figures"
     assert analyze.main([str(bag), "--output", str(output)]) == 0
     written = capsys.readouterr().out.splitlines()
-    assert written == [str(output / "summary.json"), *(str(output / f"{name}.png") for name in FIGURES)]
+    files = ["summary.json", "impacts.csv", *(f"{name}.png" for name in FIGURES)]
+    assert written == [str(output / name) for name in files]
     for name in FIGURES:
         picture = imread(output / f"{name}.png")
         assert picture.shape[0] > 500
@@ -225,6 +227,44 @@ def test_analyze_draws_and_counts(bag: Path, tmp_path: Path, capsys: pytest.Capt
     speed = window["channels"]["driving_speed"]["mean"]
     assert window["mesh_frequency"] == pytest.approx(40 * speed / (2.0 * math.pi), rel=1e-4)
     assert window["poincare"]["points"] == pytest.approx(0.2 * window["mesh_frequency"], abs=2)
+
+
+def test_analyze_balances_the_energy_and_lists_the_impacts(bag: Path, tmp_path: Path) -> None:
+    assert analyze.main([str(bag), "--output", str(tmp_path)]) == 0
+    found = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
+    energy, impacts = found["energy"], found["impacts"]
+    assert (energy["from"], energy["to"]) == pytest.approx((0.002, 0.48))
+    assert energy["mesh_loss"] > 0.0
+    assert energy["stored"] == pytest.approx(energy["kinetic_energy"] + energy["elastic_energy"])
+    assert abs(energy["residual"]) < 1e-6 * energy["exchanged"]
+    with (tmp_path / impacts["list"]).open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ledger.CSV_HEADER.split(",")
+    for gear in ("driving", "driven"):
+        mine = [row for row in rows if row["bearing"] == gear]
+        assert impacts[gear]["count"] == len(mine) > 0
+        assert impacts[gear]["max_peak_force"] == max(float(row["peak_force"]) for row in mine)
+
+
+def test_a_recording_without_the_ledger_has_none(tmp_path: Path) -> None:
+    parameters = Parameters()
+    engine, encoder = Engine(parameters), Encoder(parameters, 0)
+    recorder = Recorder(tmp_path / "bag", parameters, engine.checkpoint(), 0)
+    for _ in range(8):
+        records = encoder.chunk(engine.advance())
+        recorder.write([record for record in records if record.topic not in ("energy", "impacts")])
+    recorder.close()
+    assert analyze.main([str(tmp_path / "bag"), "--output", str(tmp_path / "out")]) == 0
+    found = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert (found["energy"], found["impacts"]) == (None, None)
+    assert not (tmp_path / "out" / "impacts.csv").exists()
+
+
+def test_analyze_takes_energies_as_channels(tmp_path: Path) -> None:
+    record(tmp_path / "bag", Parameters.from_flat({"waveform_channels": tuple(COLUMN)}), 8)
+    assert analyze.main([str(tmp_path / "bag"), "--output", str(tmp_path / "out")]) == 0
+    found = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert found["run"]["channels"]["kinetic_energy"]["unit"] == "J"
 
 
 def test_analyze_takes_the_window_asked_for(bag: Path, tmp_path: Path) -> None:

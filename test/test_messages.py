@@ -23,19 +23,30 @@ from gear_dynamics_ros.messages import (
     waveform_samples,
 )
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.signals import CHANNEL_NAMES, Chunk, Commands, Counters, Status
+from gear_dynamics_ros.signals import (
+    CHANNEL_NAMES,
+    COLUMN,
+    ENERGIES,
+    IMPACTS,
+    Chunk,
+    Commands,
+    Counters,
+    Status,
+)
 
 EPOCH_NS = 1_700_000_000_123_456_789
 COMMANDS = Commands(drive_torque=30.0, load_torque=-4.5, speed=1000.0)
 
 
-def synthetic_chunk(rows: int = 7, first: int = 400) -> Chunk:
+def synthetic_chunk(rows: int = 7, first: int = 400, columns: int = len(CHANNEL_NAMES)) -> Chunk:
     generator = np.random.default_rng(rows)
-    samples = generator.standard_normal((rows, len(CHANNEL_NAMES)))
+    samples = generator.standard_normal((rows, columns))
     samples[:, CHANNEL_NAMES.index("meshing_state")] = -1.0
     angles = generator.standard_normal((rows, 2)) * 1e4
     counters = Counters(0, 0, 0, 0, 0)
-    return Chunk(first, 10_000, samples, angles, COMMANDS, counters, Status.RUNNING, "")
+    energies = generator.standard_normal(len(ENERGIES))
+    impacts = generator.standard_normal((rows // 3, len(IMPACTS)))
+    return Chunk(first, 10_000, samples, angles, energies, impacts, COMMANDS, counters, Status.RUNNING, "")
 
 
 def decoded(chunk: Chunk, parameters: Parameters | None = None) -> dict[str, object]:
@@ -67,9 +78,12 @@ def test_all_records_of_a_chunk_carry_the_time_of_its_last_sample() -> None:
 
 
 @pytest.mark.parametrize("rows", [1, 7, 200])
-@pytest.mark.parametrize("channels", [CHANNEL_NAMES, ("time", "mesh_phase", "dte")])
+@pytest.mark.parametrize(
+    "channels",
+    [CHANNEL_NAMES, tuple(COLUMN), ("time", "mesh_phase", "dte"), ("time", "kinetic_energy", "dte")],
+)
 def test_waveform_equals_the_serialisers_own_bytes(rows: int, channels: tuple[str, ...]) -> None:
-    chunk = synthetic_chunk(rows)
+    chunk = synthetic_chunk(rows, columns=len(COLUMN) if "kinetic_energy" in channels else len(CHANNEL_NAMES))
     parameters = Parameters.from_flat({"waveform_channels": channels})
     encoder = Encoder(parameters, EPOCH_NS)
     picked = np.column_stack([chunk[name] for name in channels])
@@ -97,6 +111,23 @@ def test_packed_scalars_equal_the_serialisers_own_bytes(key: str, channel: str) 
     value = chunk[channel][-1]
     data = int(value) if key == "meshing_state" else float(value)
     assert record.data == serialize(TOPICS[key].type, message_class(TOPICS[key].type)(data=data))
+
+
+def test_energy_and_impacts_equal_the_serialisers_own_bytes() -> None:
+    chunk, encoder = synthetic_chunk(), Encoder(Parameters(), EPOCH_NS)
+    for _ in range(2):
+        data = {record.topic: record.data for record in encoder.chunk(chunk)}
+        for topic, row, columns, values in (
+            ("energy", "sample", ENERGIES, chunk.energies[None, :]),
+            ("impacts", "impact", IMPACTS, chunk.impacts),
+        ):
+            names = [column.name for column in columns]
+            assert data[topic] == serialize(TOPICS[topic].type, waveform_message(names, values, row))
+
+
+def test_a_chunk_without_impacts_brings_no_message_of_them() -> None:
+    topics = decoded(synthetic_chunk(rows=2))
+    assert "energy" in topics and "impacts" not in topics
 
 
 def test_joint_states_show_shafts_and_mesh() -> None:

@@ -27,7 +27,7 @@ from gear_dynamics_ros.parameters import (
     specifications,
 )
 from gear_dynamics_ros.ros_yaml import SMALLEST_NORMAL, parse_yaml, resolve, scalar_text
-from gear_dynamics_ros.signals import CHANNEL_NAMES
+from gear_dynamics_ros.signals import COLUMN
 
 ROOT = Path(__file__).resolve().parent.parent
 DOMAIN_ID = 91
@@ -396,7 +396,7 @@ def parameters(draw: st.DrawFn) -> Parameters:
         values[row.name] = draw(st.lists(number, min_size=1, max_size=4) if row.type is tuple else number)
     values["joint_prefix"] = draw(words)
     values["recording.path"] = draw(words)
-    values["waveform_channels"] = ["time", *draw(st.permutations(CHANNEL_NAMES[1:]))[:3]]
+    values["waveform_channels"] = ["time", *draw(st.permutations(tuple(COLUMN)[1:]))[:3]]
     return Parameters.from_flat(values)
 
 

@@ -29,13 +29,14 @@ from gear_dynamics_ros.messages import TOPICS, Encoder, Record, message_class, r
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.recording import mcap_writer, writer
 from gear_dynamics_ros.recording.writer import Recorder
-from gear_dynamics_ros.signals import CHANNEL_NAMES, Chunk, Commands, Counters, Status
+from gear_dynamics_ros.signals import CHANNEL_NAMES, ENERGIES, IMPACTS, Chunk, Commands, Counters, Status
 
 EPOCH_NS = 1_700_000_000_123_456_789
 ROWS = 200
 FIRST = Commands(30.0, 20.0, 1000.0)
 SECOND = Commands(31.5, 20.0, 1000.0)
 WAVEFORM = "/gearbox/waveform"
+MESSAGES = 10  # that a chunk makes
 
 
 def make_chunk(number: int) -> Chunk:
@@ -43,7 +44,10 @@ def make_chunk(number: int) -> Chunk:
     samples = np.random.default_rng(number).standard_normal((ROWS, len(CHANNEL_NAMES)))
     angles = np.zeros((ROWS, 2))
     counters = Counters(0, 0, 0, 0, 0)
-    return Chunk(number * ROWS, 10_000, samples, angles, FIRST, counters, Status.RUNNING, "")
+    energies, impacts = np.zeros(len(ENERGIES)), np.zeros((1, len(IMPACTS)))
+    return Chunk(
+        number * ROWS, 10_000, samples, angles, energies, impacts, FIRST, counters, Status.RUNNING, ""
+    )
 
 
 def samples_of(numbers: range) -> np.ndarray[Any, Any]:
@@ -285,7 +289,7 @@ def test_queue_is_bounded_and_loses_nothing(tmp_path: Path, monkeypatch: pytest.
         assert recorder.stats.queued_bytes < 100_000 + sum(len(record.data) for record in records)
     recorder.close()
     assert recorder.stats.lost == recorder.stats.queued == 0
-    assert recorder.stats.messages == 800
+    assert recorder.stats.messages == 100 * MESSAGES
     assert recorder.stats.bytes == (tmp_path / "bag" / "bag_0.mcap").stat().st_size
     assert equal(recording.open(tmp_path / "bag").waveform(), samples_of(range(100)))
 
@@ -295,7 +299,7 @@ def test_messages_after_the_end_are_counted_as_lost(tmp_path: Path) -> None:
     recorder.close()
     before = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
     recorder.write(Encoder(Parameters(), EPOCH_NS).chunk(make_chunk(0)))
-    assert recorder.stats.lost == 8
+    assert recorder.stats.lost == MESSAGES
     assert (tmp_path / "bag" / "bag_0.mcap").read_bytes() == before
 
 
@@ -391,7 +395,7 @@ def test_kill_9_loses_at_most_the_last_second(tmp_path: Path) -> None:
     assert not read.complete
     assert due and len(rows) >= (due[-1] + 1) * ROWS
     assert equal(rows, samples_of(range(len(rows) // ROWS)))
-    assert sum(topic.messages for topic in read.topics) == 8 * len(rows) // ROWS
+    assert sum(topic.messages for topic in read.topics) == MESSAGES * len(rows) // ROWS
 
 
 def test_full_disk_stops_the_recorder_and_keeps_what_was_written(tmp_path: Path) -> None:
@@ -401,7 +405,7 @@ def test_full_disk_stops_the_recorder_and_keeps_what_was_written(tmp_path: Path)
     assert process.returncode == 0
     handed, error, lost = json.loads(output)
     assert "File too large" in error and str(tmp_path / "bag") in error
-    assert lost >= 8
+    assert lost >= MESSAGES
     read = recording.open(tmp_path / "bag")
     rows = read.waveform()
     assert rows.nbytes > 2_000_000
@@ -409,7 +413,7 @@ def test_full_disk_stops_the_recorder_and_keeps_what_was_written(tmp_path: Path)
     assert equal(rows, samples_of(range(len(rows) // ROWS)))
     assert read.complete
     with Reader(tmp_path / "bag") as reader:
-        assert sum(1 for _ in reader.messages()) == reader.message_count == 8 * len(rows) // ROWS
+        assert sum(1 for _ in reader.messages()) == reader.message_count == MESSAGES * len(rows) // ROWS
 
 
 def test_a_crash_right_after_a_split_keeps_the_parts_before(bag: Path, tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from gear_dynamics_ros.parameters import Parameters, load
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.recordings import RecorderSink
 from gear_dynamics_ros.run import Run
-from gear_dynamics_ros.signals import Commands
+from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN, Commands
 
 CONFIG = Path(__file__).parent.parent / "config"
 
@@ -65,10 +65,12 @@ def commanded(path: Path, parameters: Parameters, recorded_as: Parameters | None
     return path
 
 
-def test_commands_and_resets_come_out_again(tmp_path: Path) -> None:
-    result = replay.verify(recording.open(commanded(tmp_path / "bag", Parameters())))
+@pytest.mark.parametrize("channels", [CHANNEL_NAMES, tuple(COLUMN), ("time", "mesh_loss")])
+def test_commands_and_resets_come_out_again(tmp_path: Path, channels: tuple[str, ...]) -> None:
+    parameters = Parameters.from_flat({"waveform_channels": channels})
+    result = replay.verify(recording.open(commanded(tmp_path / "bag", parameters)))
     assert result.difference is None
-    assert result.samples == 5 * Parameters().solver.samples_per_chunk
+    assert result.samples == 5 * parameters.solver.samples_per_chunk
 
 
 def test_another_parameter_is_found_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

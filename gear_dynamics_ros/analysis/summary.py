@@ -13,13 +13,13 @@ from gear_dynamics_ros.analysis.spectra import SHORTEST, amplitude_spectrum, str
 from gear_dynamics_ros.analysis.statistics import Statistics, bearing_force_name, quantities
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics.derived import base_radii
-from gear_dynamics_ros.signals import CHANNELS
+from gear_dynamics_ros.signals import CHANNELS, ENERGIES
 
 WINDOW: Final = 0.2  # s
 SETTLING: Final = 0.1  # s after a change before which nothing counts as steady
 LINES: Final = 8
 UNITS: Final = {
-    **{channel.name: channel.unit for channel in CHANNELS},
+    **{channel.name: channel.unit for channel in (*CHANNELS, *ENERGIES)},
     **{bearing_force_name(gear): "N" for gear in GEARS},
 }
 

@@ -12,14 +12,16 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.analysis import summary
+from gear_dynamics_ros.analysis import ledger, summary
 from gear_dynamics_ros.analysis.samples import GEARS, Samples, contact_channels
 from gear_dynamics_ros.analysis.spectra import SHORTEST
 from gear_dynamics_ros.analysis.statistics import Envelope, Statistics, quantities
 from gear_dynamics_ros.analysis.summary import Span
 from gear_dynamics_ros.cli.common import Progress, guarded
 from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.messages import waveform_samples
 from gear_dynamics_ros.recording import Recording
+from gear_dynamics_ros.replay import RESET
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
 WINDOW_SAMPLES: Final = 1_000_000
 BLOCK_SAMPLES: Final = 20_000
 SUMMARY_FILE: Final = "summary.json"
+IMPACTS_FILE: Final = "impacts.csv"
 
 
 class Pass(NamedTuple):
@@ -40,7 +43,7 @@ def main(argv: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     parser = argparse.ArgumentParser(
         prog="analyze",
-        description="Figures (PNG) and a summary (JSON) of a recording. The overview shows the whole run, "
+        description="Figures (PNG), a summary (JSON) and the bearing impacts (CSV) of a recording. The overview shows the whole run, "
         f"the others a window: by default the last {summary.WINDOW:g} s without a change of commands.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 folder or .mcap file")
@@ -62,15 +65,19 @@ def analyze(arguments: argparse.Namespace) -> int:
     samples = load(bag, window)
     whole = survey(bag)
     arguments.output.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(describe(bag, whole, samples), indent=2, allow_nan=False)
+    found = describe(bag, whole, samples)
     written = [arguments.output / SUMMARY_FILE]
-    written[0].write_text(text + "\n", encoding="utf-8")
+    found["energy"], found["impacts"] = energy(bag), None
+    if found["energy"] is not None:  # every chunk brings energies, but only some of them impacts
+        written.append(arguments.output / IMPACTS_FILE)
+        found["impacts"] = list_impacts(bag, written[-1])
+    written[0].write_text(json.dumps(found, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     figures = drawings(bag, whole, samples, changes)
     with Progress("drawing", len(figures)) as progress:
-        for name, draw in figures.items():
+        for drawn, (name, draw) in enumerate(figures.items(), start=1):
             written.append(arguments.output / f"{name}.png")
             draw().savefig(written[-1])
-            progress(len(written) - 1)
+            progress(drawn)
     for path in written:
         print(path)
     return 0
@@ -163,6 +170,27 @@ def describe(bag: Recording, whole: Pass, samples: Samples) -> dict[str, Any]:
         "run": summary.statistics_block(whole.statistics, span, bag.parameters),
         "window": summary.window_block(samples, bag.parameters),
     }
+
+
+def energy(bag: Recording) -> dict[str, Any] | None:
+    """The energy balance over the whole recording, None where it lacks the topic."""
+    balance = ledger.Ledger([event.sample for event in bag.events if event.kind == RESET])
+    for time_ns, message in bag.messages("energy"):
+        _, rows = waveform_samples(message)
+        balance.add((time_ns - bag.epoch_ns) // bag.sample_interval_ns + 1, rows[0])
+    return balance.block(interval(bag), bag.parameters)
+
+
+def list_impacts(bag: Recording, path: Path) -> dict[str, Any]:
+    """Write the list of impacts to ``path``; totals by bearing."""
+    totals = ledger.Impacts(bag.parameters.bearings.minimum_impact_speed)
+    with path.open("w", encoding="utf-8") as file:
+        file.write(ledger.CSV_HEADER + "\n")
+        for _, message in bag.messages("impacts"):
+            _, rows = waveform_samples(message)
+            totals.add(rows)
+            file.writelines(ledger.csv_lines(rows))
+    return {"list": path.name, **totals.block()}
 
 
 def drawings(
