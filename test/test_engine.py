@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import json
 import math
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,7 @@ from hypothesis import strategies as st
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.physics import kernel, lanes
 from gear_dynamics_ros.signals import CHANNELS, Commands, Status
 
 SAMPLES = 600
@@ -260,3 +263,65 @@ def test_a_slowly_begun_contact_pressed_in_later_stays_exact(pressed: dict[str, 
         runs.append(np.hypot(chunk["driving_contact_force_x"], chunk["driving_contact_force_y"]))
     assert runs[1].max() > 1000.0
     np.testing.assert_allclose(runs[0], runs[1], atol=1.0)
+
+
+def test_the_kernel_knows_which_lanes_it_was_compiled_with() -> None:
+    """numba's cache sees a change of kernel.py only."""
+    source = Path(lanes.__file__).read_bytes()
+    assert hashlib.sha256(source).hexdigest() == kernel.LANES_SHA256, "put this digest into kernel.py"
+
+
+def test_impacts_are_listed_whatever_the_chunk(rattling: Parameters) -> None:
+    whole = Engine(rattling).advance(3000)
+    engine = Engine(rattling)
+    pieces = np.concatenate([engine.advance(30).impacts for _ in range(100)])
+    assert pieces.tobytes() == whole.impacts.tobytes()
+    begin, end, bearing, impact_speed, rebound_speed, peak_force = whole.impacts.T
+    assert len(whole.impacts) > 10
+    assert (end > begin).all() and set(bearing) == {0.0, 1.0}
+    assert (impact_speed > 0.0).all() and (rebound_speed > 0.0).all() and (peak_force > 0.0).all()
+
+
+def test_an_impact_list_that_is_full_ends_no_run(
+    rattling: Parameters, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = Engine(rattling).advance(3000)
+    monkeypatch.setattr("gear_dynamics_ros.engine.IMPACTS_A_CALL", 1)
+    halting = Engine(rattling).advance(3000)
+    assert halting.impacts.tobytes() == whole.impacts.tobytes()
+    assert halting.samples.tobytes() == whole.samples.tobytes()
+
+
+@pytest.fixture
+def rattling() -> Parameters:
+    """Little torque: both journals leave their sleeves again and again."""
+    return parameters(model="compared", operation__drive_torque=1.0, operation__load_torque=1.0)
+
+
+@pytest.mark.parametrize("model", ["compared", "improved"])
+def test_an_impact_alone_delivers_its_restitution(model: str) -> None:
+    """One journal flung at its sleeve; nothing else acts on it but the film."""
+    eta = 0.6
+    p = parameters(
+        model=model,
+        gears__backlash=1e-3,
+        bearings__driving__restitution=eta,
+        oil__viscosity=1e-9,
+        operation__drive_torque=0.0,
+        operation__load_torque=0.0,
+        operation__speed=0.0,
+    )
+    engine = Engine(p)
+    start = engine.checkpoint()
+    start["state"] |= {
+        "u": 0.0,
+        "y": [p.bearings.driving.clearance - 1e-6, 0.0],
+        "vy": [0.1, 0.0],
+        "flank": 0.0,
+    }
+    engine.restore(start)
+    ((begin, end, bearing, impact_speed, rebound_speed, peak_force),) = engine.advance(50).impacts
+    assert begin == pytest.approx(1e-5, rel=1e-4) and end > begin and bearing == 0.0
+    assert impact_speed == pytest.approx(0.1, rel=1e-4)
+    assert rebound_speed / impact_speed == pytest.approx(eta, rel=1e-4)
+    assert peak_force > 0.1 * p.gears.driving.mass / (end - begin)

@@ -43,7 +43,8 @@ def main(argv: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     parser = argparse.ArgumentParser(
         prog="analyze",
-        description="Figures (PNG), a summary (JSON) and the bearing impacts (CSV) of a recording. The overview shows the whole run, "
+        description="Figures (PNG), a summary (JSON) and the bearing impacts (CSV) of a recording. "
+        "The overview shows the whole run, "
         f"the others a window: by default the last {summary.WINDOW:g} s without a change of commands.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 folder or .mcap file")

@@ -38,7 +38,7 @@ from gear_dynamics_ros.physics.lanes import (
 )
 
 # numba's cache knows nothing of lanes.py: after a change of it, this line changes too. A test compares.
-LANES_SHA256 = ""
+LANES_SHA256 = "a3d59364eeedd7d45b825c9db8130b756d5dc249593bc87e6454a7fe307b1192"
 
 Floats = NDArray[np.float64]
 Record = Any  # one numpy record of CONSTANTS, STATE or POINT
