@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.parameters import Parameters, load
-from gear_dynamics_ros.physics import derived
+from gear_dynamics_ros.physics import derived, kernel
 from gear_dynamics_ros.signals import CHANNELS, COLUMN, Status
 
 SOURCE = Path(__file__).resolve().parent
@@ -54,20 +54,17 @@ _FIELDS: dict[str, type[ctypes.c_int64] | type[ctypes.c_double] | type[ctypes.Ar
     "hunting": ctypes.c_int64,
     "steps_per_sample": ctypes.c_int64,
     "centre_distance": ctypes.c_double,
-    "base_radius1": ctypes.c_double,
-    "base_radius2": ctypes.c_double,
-    "per_radii2": ctypes.c_double,
+    "base_radius": ctypes.c_double * 2,
+    "per_radii": ctypes.c_double,
     "tan2_alpha0": ctypes.c_double,
     "involute_alpha0": ctypes.c_double,
-    "involute_series": ctypes.c_double * 10,
+    "involute_series": ctypes.c_double * 9,
     "half_backlash": ctypes.c_double,
     "stiffness": ctypes.c_double,
     "damping": ctypes.c_double,
     "error_mean": ctypes.c_double,
-    "per_mass1": ctypes.c_double,
-    "per_mass2": ctypes.c_double,
-    "per_inertia1": ctypes.c_double,
-    "per_inertia2": ctypes.c_double,
+    "per_mass": ctypes.c_double * 2,
+    "per_inertia": ctypes.c_double * 2,
     "teeth1": ctypes.c_double,
     "clearance": ctypes.c_double * 2,
     "kelvin_stiffness": ctypes.c_double * 2,
@@ -145,16 +142,17 @@ class PlainC:
         self._library = library(flags)
         self._interval_ns = parameters.solver.sample_interval_ns
         self._sample = 0
-        constants = _constants(parameters)
         table = derived.excitations(parameters)
-        orders = np.ascontiguousarray(table.orders)
-        amplitudes = np.ascontiguousarray(table.amplitudes)
+        constants = _constants(parameters, table)
+        count = np.count_nonzero(table.waves[kernel.ORDER])
+        orders = table.waves[kernel.ORDER, :count].copy()
+        amplitudes = np.ascontiguousarray(table.amplitudes[:count].swapaxes(0, 1))
         self._handle = self._library.gearbox_new(constants, len(orders), _data(orders), _data(amplitudes))
         if self._handle is None:
             raise GearboxError("the C program is out of memory")
         operation = parameters.operation
         speed = operation.speed if operation.initial == "touching" else 0.0
-        speed2 = speed * constants.base_radius1 / constants.base_radius2
+        speed2 = speed * constants.base_radius[0] / constants.base_radius[1]
         self._library.gearbox_start(
             self._handle, operation.speed, operation.drive_torque, operation.load_torque, speed, speed2
         )
@@ -264,12 +262,15 @@ def row(name: str, parameters: Parameters) -> str:
     )
 
 
-def _constants(parameters: Parameters) -> Constants:
+def _constants(parameters: Parameters, table: derived.Excitations) -> Constants:
     """What derived.constants holds, field by field: its layout is the kernel's own affair."""
-    record = derived.constants(parameters)
+    record = derived.constants(parameters, table)[0]
     constants = Constants()
     for name in _FIELDS:
         values = record[name]
+        if name == "involute_series":
+            # The kernel's series of four functions stand side by side; the first begins with a zero.
+            values = values[4::4]
         setattr(constants, name, tuple(values.tolist()) if values.ndim else values.item())
     return constants
 

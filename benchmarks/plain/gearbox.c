@@ -1,8 +1,10 @@
 /*
  * The gearbox model as a plain scalar C program: the yardstick of the kernel's speed.
  *
- * Same equations, same integrator, same events and same samples as gear_dynamics_ros/physics/kernel.py, written
- * the way C is written: structures, ordinary control flow, no intrinsics. All values are SI; equation numbers
+ * Same equations, same integrator and same samples as gear_dynamics_ros/physics/kernel.py, written the way C is
+ * written: structures, ordinary control flow, no intrinsics. It does less: no works and losses, no list of
+ * impacts, no impulse of the surfaces beyond RK4, no rates of the clamps and no short substeps at the end of a
+ * bearing contact. All values are SI; equation numbers
  * are the paper's.
  */
 
@@ -17,14 +19,14 @@
 #define TWO_PI (2.0 * PI)
 #define TURNS_PER_RADIAN (1.0 / TWO_PI)
 
-enum { SERIES_TERMS = 10, CHANNELS = 28 };
+enum { SERIES_TERMS = 9, CHANNELS = 28 };
 
 static const double SERIES_REACH = 1.0 / 40.0; /* of tan^2(alpha0) */
 static const double ARCTANGENT_REACH = 1e-2;
 static const double ARCTANGENT_SERIES_REACH = 0.2;
 
-static const double GAP_TOLERANCE = 1e-10; /* of the change of the value over the step */
-static const double CLAMP_TOLERANCE = 1e-7;
+static const double GAP_TOLERANCE = 1e-8; /* of the change of the value over the step */
+static const double CLAMP_TOLERANCE = 1e-6;
 enum { SEARCH_LIMIT = 30, STOPS_PER_STEP = 24 };
 static const double ONSET_FRACTION = 0.1;     /* first substep of a bearing contact */
 static const double STIFFNESS_LIMIT = 0.25;   /* substep times damping rate of a contact */
@@ -37,10 +39,10 @@ struct constants {
     int64_t kelvin, film, exact_geometry, contact_damping, nominal_phase, brake, governed;
     int64_t hunting; /* turns of gear 1 after which the same teeth meet again */
     int64_t steps_per_sample;
-    double centre_distance, base_radius1, base_radius2, per_radii2;
+    double centre_distance, base_radius[2], per_radii;
     double tan2_alpha0, involute_alpha0, involute_series[SERIES_TERMS];
     double half_backlash, stiffness, damping, error_mean;
-    double per_mass1, per_mass2, per_inertia1, per_inertia2, teeth1;
+    double per_mass[2], per_inertia[2], teeth1;
     double clearance[2], kelvin_stiffness[2], kelvin_damping[2], hertz[2], damping_factor[2];
     double per_oil_clearance[2], film_factor[2];
     double minimum_impact_speed, eccentricity_limit2;
@@ -328,7 +330,7 @@ __attribute__((always_inline)) static inline void dynamics(const struct gearbox 
     struct surfaces *surfaces = &point->surfaces;
     const double *position = state->position, *velocity = state->velocity;
     const double omega1 = velocity[OMEGA1], omega2 = velocity[OMEGA2];
-    const double rb1 = k->base_radius1, rb2 = k->base_radius2, radii = rb1 + rb2;
+    const double rb1 = k->base_radius[0], rb2 = k->base_radius[1], radii = rb1 + rb2;
 
     const double phi_rate = k->teeth1 * (k->nominal_phase ? g->speed : omega1);
     const double half = 0.5 * lag;
@@ -345,7 +347,7 @@ __attribute__((always_inline)) static inline void dynamics(const struct gearbox 
     const double wx = velocity[X2] - velocity[X1], wy = velocity[Y2] - velocity[Y1];
     const double dx = k->centre_distance + ux;
     const double per_a = 1.0 / sqrt(dx * dx + uy * uy), per_a2 = per_a * per_a;
-    const double xi = (ux * (2.0 * k->centre_distance + ux) + uy * uy) * k->per_radii2;
+    const double xi = (ux * (2.0 * k->centre_distance + ux) + uy * uy) * (k->per_radii * k->per_radii);
     const double tan_alpha = sqrt(k->tan2_alpha0 + xi);
     const double cos_beta = dx * per_a, sin_beta = uy * per_a;
     const double cos_alpha = radii * per_a, sin_alpha = cos_alpha * tan_alpha;
@@ -408,12 +410,12 @@ __attribute__((always_inline)) static inline void dynamics(const struct gearbox 
     load_torque += k->load_viscous * omega2;
 
     const struct bearing *bearing1 = &point->bearing[0], *bearing2 = &point->bearing[1];
-    point->acceleration[X1] = (bearing1->contact_x + bearing1->film_x - force * along_x) * k->per_mass1;
-    point->acceleration[Y1] = (bearing1->contact_y + bearing1->film_y - force * along_y) * k->per_mass1;
-    point->acceleration[X2] = (bearing2->contact_x + bearing2->film_x + force * along_x) * k->per_mass2;
-    point->acceleration[Y2] = (bearing2->contact_y + bearing2->film_y + force * along_y) * k->per_mass2;
-    point->acceleration[OMEGA1] = (g->drive_torque - force * rb1) * k->per_inertia1;
-    point->acceleration[OMEGA2] = (force * rb2 - load_torque) * k->per_inertia2;
+    point->acceleration[X1] = (bearing1->contact_x + bearing1->film_x - force * along_x) * k->per_mass[0];
+    point->acceleration[Y1] = (bearing1->contact_y + bearing1->film_y - force * along_y) * k->per_mass[0];
+    point->acceleration[X2] = (bearing2->contact_x + bearing2->film_x + force * along_x) * k->per_mass[1];
+    point->acceleration[Y2] = (bearing2->contact_y + bearing2->film_y + force * along_y) * k->per_mass[1];
+    point->acceleration[OMEGA1] = (g->drive_torque - force * rb1) * k->per_inertia[0];
+    point->acceleration[OMEGA2] = (force * rb2 - load_torque) * k->per_inertia[1];
     point->mesh_force = force;
     point->q = q;
     point->q_rate = q_rate;
@@ -437,7 +439,7 @@ static inline void position_rates(const struct constants *k, const struct state 
     const double *velocity = state->velocity;
     for (int i = 0; i < U; i++)
         rate[i] = velocity[i];
-    rate[U] = k->base_radius1 * velocity[OMEGA1] - k->base_radius2 * velocity[OMEGA2];
+    rate[U] = k->base_radius[0] * velocity[OMEGA1] - k->base_radius[1] * velocity[OMEGA2];
     rate[THETA1] = velocity[OMEGA1];
 }
 
@@ -495,7 +497,7 @@ static void try_step(struct gearbox *g, double nominal_turn, double h)
             start->velocity[i] + sixth * (first[i] + last.acceleration[i]) + third * inner;
     }
     const double drift1 = drift[OMEGA1], drift2 = drift[OMEGA2];
-    drift[U] = k->base_radius1 * drift1 - k->base_radius2 * drift2;
+    drift[U] = k->base_radius[0] * drift1 - k->base_radius[1] * drift2;
     drift[THETA1] = drift1;
     for (int i = 0; i < FREEDOMS; i++)
         end->state.position[i] = start->position[i] + h * (rate1[i] + sixth * drift[i]);
@@ -776,7 +778,7 @@ static double longest_substep(struct gearbox *g)
 {
     const struct constants *k = &g->constants;
     const struct bearing *bearing = g->here->point.bearing;
-    const double rate1 = bearing[0].damping * k->per_mass1, rate2 = bearing[1].damping * k->per_mass2;
+    const double rate1 = bearing[0].damping * k->per_mass[0], rate2 = bearing[1].damping * k->per_mass[1];
     const double rate = rate1 > rate2 ? rate1 : rate2;
     double substeps = 1.0;
     while (k->step * rate > STIFFNESS_LIMIT * substeps) {
@@ -981,7 +983,7 @@ static void write_sample(const struct gearbox *g, double time, double turn, doub
     *row++ = position[THETA1];
     *row++ = TWO_PI * (mesh_turn - floor(mesh_turn));
     angles[0] = TWO_PI * (double)g->revolutions + position[THETA1];
-    angles[1] = (k->base_radius1 * angles[0] - position[U]) / k->base_radius2;
+    angles[1] = (k->base_radius[0] * angles[0] - position[U]) / k->base_radius[1];
 }
 
 void gearbox_free(struct gearbox *g)
