@@ -26,7 +26,7 @@ test: setup
 	@$(BIN)/pytest --numprocesses 2 --dist loadfile --durations 10
 
 bench: setup
-	@$(BIN)/python benchmarks/kernel.py
+	@$(BIN)/python benchmarks --output benchmarks/results.md
 
 lint: setup
 	@$(BIN)/ruff check .

@@ -1,7 +1,7 @@
 """The plain C program of plain/gearbox.c, compiled and called: the yardstick of the kernel's speed.
 
-Run as a program it times it beside the engine, in the same run, and compares what both compute. Times are the
-processor's, not the clock's: other programs on the same core weigh less.
+It is timed beside the engine, in the same run, and what both compute is compared. Times are the processor's,
+not the clock's: other programs on the same core weigh less.
 """
 
 from __future__ import annotations
@@ -12,11 +12,9 @@ import shlex
 import shutil
 import statistics
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -26,19 +24,17 @@ from numpy.typing import NDArray
 
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.parameters import Parameters, load
-from gear_dynamics_ros.physics import derived
+from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.physics import derived, kernel
 from gear_dynamics_ros.signals import CHANNELS, COLUMN, Status
 
-SOURCE = Path(__file__).resolve().parent
-PROGRAM = SOURCE / "plain" / "gearbox.c"
+PROGRAM = Path(__file__).resolve().parent / "plain" / "gearbox.c"
 FLAGS = ("-std=c11", "-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno")
 
 WARM_CHUNKS = 100
-TIMED_CHUNKS = 25
-REPEATS = 9
-MODELS = ("traditional", "compared", "improved")
-LOOPS = 1_000_000
+TIMED_CHUNKS = 50
+REPEATS = 15
+LOOPS = 500_000
 COMPARED_SAMPLES = 101
 
 Floats = NDArray[np.float64]
@@ -54,20 +50,18 @@ _FIELDS: dict[str, type[ctypes.c_int64] | type[ctypes.c_double] | type[ctypes.Ar
     "hunting": ctypes.c_int64,
     "steps_per_sample": ctypes.c_int64,
     "centre_distance": ctypes.c_double,
-    "base_radius1": ctypes.c_double,
-    "base_radius2": ctypes.c_double,
-    "per_radii2": ctypes.c_double,
+    "base_radius": ctypes.c_double * 2,
+    "per_radii": ctypes.c_double,
     "tan2_alpha0": ctypes.c_double,
     "involute_alpha0": ctypes.c_double,
-    "involute_series": ctypes.c_double * 10,
+    "involute_series": ctypes.c_double * 9,
     "half_backlash": ctypes.c_double,
     "stiffness": ctypes.c_double,
     "damping": ctypes.c_double,
     "error_mean": ctypes.c_double,
-    "per_mass1": ctypes.c_double,
-    "per_mass2": ctypes.c_double,
-    "per_inertia1": ctypes.c_double,
-    "per_inertia2": ctypes.c_double,
+    "per_mass": ctypes.c_double * 2,
+    "per_inertia": ctypes.c_double * 2,
+    "per_mesh_mass": ctypes.c_double,
     "teeth1": ctypes.c_double,
     "clearance": ctypes.c_double * 2,
     "kelvin_stiffness": ctypes.c_double * 2,
@@ -107,19 +101,28 @@ class Comparison(NamedTuple):
     engine_events: int
 
 
+def command() -> str:
+    """How the program is compiled."""
+    return shlex.join([*_compiler(), *FLAGS])
+
+
+def _compiler() -> list[str]:
+    return shlex.split(os.environ.get("CC", "gcc"))
+
+
 @cache
 def library(flags: tuple[str, ...] = FLAGS) -> ctypes.CDLL:
     """The compiled program. Raises GearboxError in one line without a C compiler or if it fails."""
-    compiler = shlex.split(os.environ.get("CC", "gcc"))
+    compiler = _compiler()
     if shutil.which(compiler[0]) is None:
         raise GearboxError(f"no C compiler: {compiler[0]} is not installed (CC names another)")
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "gearbox.so"
-        command = [*compiler, *flags, "-shared", "-fPIC", str(PROGRAM), "-o", str(target), "-lm"]
-        done = subprocess.run(command, capture_output=True, text=True)
+        call = [*compiler, *flags, "-shared", "-fPIC", str(PROGRAM), "-o", str(target), "-lm"]
+        done = subprocess.run(call, capture_output=True, text=True)
         if done.returncode != 0:
             reason = done.stderr.strip().splitlines()[:1] or ["no reason given"]
-            raise GearboxError(f"{shlex.join(command)} failed: {reason[0]}")
+            raise GearboxError(f"{shlex.join(call)} failed: {reason[0]}")
         loaded = ctypes.CDLL(str(target))
     pointer, size, number = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_double
     loaded.gearbox_new.argtypes = [ctypes.POINTER(Constants), size, pointer, pointer]
@@ -145,16 +148,17 @@ class PlainC:
         self._library = library(flags)
         self._interval_ns = parameters.solver.sample_interval_ns
         self._sample = 0
-        constants = _constants(parameters)
         table = derived.excitations(parameters)
-        orders = np.ascontiguousarray(table.orders)
-        amplitudes = np.ascontiguousarray(table.amplitudes)
+        constants = _constants(parameters, table)
+        count = np.count_nonzero(table.waves[kernel.ORDER])
+        orders = table.waves[kernel.ORDER, :count].copy()
+        amplitudes = np.ascontiguousarray(table.amplitudes[:count].swapaxes(0, 1))
         self._handle = self._library.gearbox_new(constants, len(orders), _data(orders), _data(amplitudes))
         if self._handle is None:
             raise GearboxError("the C program is out of memory")
         operation = parameters.operation
         speed = operation.speed if operation.initial == "touching" else 0.0
-        speed2 = speed * constants.base_radius1 / constants.base_radius2
+        speed2 = speed * constants.base_radius[0] / constants.base_radius[1]
         self._library.gearbox_start(
             self._handle, operation.speed, operation.drive_torque, operation.load_torque, speed, speed2
         )
@@ -230,56 +234,18 @@ def step_ns(parameters: Parameters) -> tuple[float, float, float]:
     return float(of_program), float(of_engine), float(np.median(turns[:, 1] / turns[:, 0]))
 
 
-def main() -> None:
-    """Measure and print."""
-    columns = (
-        "parameters",
-        "model",
-        "C, ns per step",
-        "engine, ns per step",
-        "ratio",
-        "C, ns per right-hand side",
-        "C, ns per sum of excitations",
-        "DTE differs by, m",
-        "events, C and engine",
-    )
-    print(f"| {' | '.join(columns)} |")
-    print("|---" * len(columns) + "|")
-    for name in ("paper", "gearbox"):
-        for model in MODELS:
-            parameters = replace(load(SOURCE.parent / "config" / f"{name}.yaml"), model=model)
-            print(row(name, parameters), flush=True)
-
-
-def row(name: str, parameters: Parameters) -> str:
-    """One line of the table."""
-    of_program, of_engine, ratio = step_ns(parameters)
-    same = compare(parameters)
-    program = PlainC(parameters)
-    program.advance(WARM_CHUNKS * parameters.solver.samples_per_chunk)
-    return (
-        f"| {name}.yaml | {parameters.model} | {of_program:.0f} | {of_engine:.0f} | {ratio:.2f} "
-        f"| {program.evaluation_ns():.1f} | {program.excitation_ns():.1f} "
-        f"| {same.dte:.1e} | {same.events}, {same.engine_events} |"
-    )
-
-
-def _constants(parameters: Parameters) -> Constants:
+def _constants(parameters: Parameters, table: derived.Excitations) -> Constants:
     """What derived.constants holds, field by field: its layout is the kernel's own affair."""
-    record = derived.constants(parameters)
+    record = derived.constants(parameters, table)[0]
     constants = Constants()
     for name in _FIELDS:
         values = record[name]
+        if name == "involute_series":
+            # The kernel's series of four functions stand side by side; the first begins with a zero.
+            values = values[4::4]
         setattr(constants, name, tuple(values.tolist()) if values.ndim else values.item())
     return constants
 
 
 def _data(array: Floats) -> int:
     return int(array.ctypes.data)
-
-
-if __name__ == "__main__":
-    try:
-        main()
-    except GearboxError as error:
-        sys.exit(f"plain_c: {error}")

@@ -2,8 +2,8 @@
  * The gearbox model as a plain scalar C program: the yardstick of the kernel's speed.
  *
  * Same equations, same integrator, same events and same samples as gear_dynamics_ros/physics/kernel.py, written
- * the way C is written: structures, ordinary control flow, no intrinsics. All values are SI; equation numbers
- * are the paper's.
+ * the way C is written: structures, ordinary control flow, no intrinsics. Works and losses, and the list of
+ * impacts, are the kernel's alone. All values are SI; equation numbers are the paper's.
  */
 
 #include <math.h>
@@ -17,16 +17,16 @@
 #define TWO_PI (2.0 * PI)
 #define TURNS_PER_RADIAN (1.0 / TWO_PI)
 
-enum { SERIES_TERMS = 10, CHANNELS = 28 };
+enum { SERIES_TERMS = 9, CHANNELS = 28 };
 
 static const double SERIES_REACH = 1.0 / 40.0; /* of tan^2(alpha0) */
 static const double ARCTANGENT_REACH = 1e-2;
 static const double ARCTANGENT_SERIES_REACH = 0.2;
 
-static const double GAP_TOLERANCE = 1e-10; /* of the change of the value over the step */
-static const double CLAMP_TOLERANCE = 1e-7;
+static const double GAP_TOLERANCE = 1e-8; /* of the change of the value over the step */
+static const double CLAMP_TOLERANCE = 1e-6;
 enum { SEARCH_LIMIT = 30, STOPS_PER_STEP = 24 };
-static const double ONSET_FRACTION = 0.1;     /* first substep of a bearing contact */
+static const double GAP_FRACTION = 0.1;       /* of the step: shortest substep that a gap asks for */
 static const double STIFFNESS_LIMIT = 0.25;   /* substep times damping rate of a contact */
 static const double SUBSTEPS_LIMIT = 4096.0;
 static const double SHORTEST_SUBSTEP = 1e-9;  /* of the step */
@@ -37,10 +37,10 @@ struct constants {
     int64_t kelvin, film, exact_geometry, contact_damping, nominal_phase, brake, governed;
     int64_t hunting; /* turns of gear 1 after which the same teeth meet again */
     int64_t steps_per_sample;
-    double centre_distance, base_radius1, base_radius2, per_radii2;
+    double centre_distance, base_radius[2], per_radii;
     double tan2_alpha0, involute_alpha0, involute_series[SERIES_TERMS];
     double half_backlash, stiffness, damping, error_mean;
-    double per_mass1, per_mass2, per_inertia1, per_inertia2, teeth1;
+    double per_mass[2], per_inertia[2], per_mesh_mass, teeth1;
     double clearance[2], kelvin_stiffness[2], kelvin_damping[2], hertz[2], damping_factor[2];
     double per_oil_clearance[2], film_factor[2];
     double minimum_impact_speed, eccentricity_limit2;
@@ -79,7 +79,7 @@ struct contacts {
     int flank; /* 1 drive flank, 0 apart, -1 back flank */
     bool mesh_clamped;
     bool touching[2], clamped[2], starved[2];
-    double impact_speed[2];
+    double impact_speed[2], age[2];
 };
 
 /* Switching surfaces: a value is positive on the side its flag stands for. */
@@ -101,7 +101,8 @@ struct bearing {
 /* Everything evaluated at one state. */
 struct point {
     double acceleration[FREEDOMS];
-    double mesh_force, q, q_rate, tan_alpha, half_backlash, load_torque;
+    double mesh_force, along_x, along_y, stiffness, surface, surface_rate;
+    double q, q_rate, tan_alpha, half_backlash, load_torque;
     struct surfaces surfaces;
     struct bearing bearing[2];
 };
@@ -294,6 +295,25 @@ static inline void evaluate_bearing(const struct gearbox *g, int i, double w, co
     surfaces->rate[FILM_LIMIT + i] = margin_rate;
 }
 
+/* Rate of the value that tells whether the contact of gear i pushes. */
+static inline double bearing_clamp_rate(const struct gearbox *g, int i, const struct state *state,
+                                        const struct point *point)
+{
+    const struct constants *k = &g->constants;
+    if (!g->contacts.touching[i])
+        return 0.0;
+    const struct bearing *bearing = &point->bearing[i];
+    const double *at = state->position + 2 * i, *speed = state->velocity + 2 * i;
+    const double *acceleration = point->acceleration + 2 * i;
+    const double inverse_d = 1.0 / (bearing->penetration + k->clearance[i]), closing = bearing->closing;
+    const double closing_rate =
+        (acceleration[0] * at[0] + acceleration[1] * at[1] + speed[0] * speed[0] + speed[1] * speed[1] -
+         closing * closing) * inverse_d;
+    const double rate = k->kelvin ? k->kelvin_stiffness[i] * closing + k->kelvin_damping[i] * closing_rate
+                                  : k->damping_factor[i] / g->contacts.impact_speed[i] * closing_rate;
+    return g->contacts.clamped[i] ? -rate : rate;
+}
+
 /* inv alpha - inv alpha0, where tan^2 alpha = tan^2 alpha0 + xi. */
 static inline double involute_change(const struct constants *k, double xi, double tan_alpha)
 {
@@ -328,7 +348,7 @@ __attribute__((always_inline)) static inline void dynamics(const struct gearbox 
     struct surfaces *surfaces = &point->surfaces;
     const double *position = state->position, *velocity = state->velocity;
     const double omega1 = velocity[OMEGA1], omega2 = velocity[OMEGA2];
-    const double rb1 = k->base_radius1, rb2 = k->base_radius2, radii = rb1 + rb2;
+    const double rb1 = k->base_radius[0], rb2 = k->base_radius[1], radii = rb1 + rb2;
 
     const double phi_rate = k->teeth1 * (k->nominal_phase ? g->speed : omega1);
     const double half = 0.5 * lag;
@@ -345,7 +365,7 @@ __attribute__((always_inline)) static inline void dynamics(const struct gearbox 
     const double wx = velocity[X2] - velocity[X1], wy = velocity[Y2] - velocity[Y1];
     const double dx = k->centre_distance + ux;
     const double per_a = 1.0 / sqrt(dx * dx + uy * uy), per_a2 = per_a * per_a;
-    const double xi = (ux * (2.0 * k->centre_distance + ux) + uy * uy) * k->per_radii2;
+    const double xi = (ux * (2.0 * k->centre_distance + ux) + uy * uy) * (k->per_radii * k->per_radii);
     const double tan_alpha = sqrt(k->tan2_alpha0 + xi);
     const double cos_beta = dx * per_a, sin_beta = uy * per_a;
     const double cos_alpha = radii * per_a, sin_alpha = cos_alpha * tan_alpha;
@@ -370,7 +390,7 @@ __attribute__((always_inline)) static inline void dynamics(const struct gearbox 
     double upper = b1 - q, upper_rate = b1_rate - q_rate;
     double lower = q + b1, lower_rate = q_rate + b1_rate;
     double along_x = sin_gamma, along_y = cos_gamma;
-    double clamp = 1.0, force = 0.0;
+    double clamp = 1.0, clamp_side = 0.0, force = 0.0;
     const int flank = contacts->flank;
     if (flank > 0) {
         upper = -upper;
@@ -393,9 +413,9 @@ __attribute__((always_inline)) static inline void dynamics(const struct gearbox 
         force += k->damping * q_rate;
     } else if (flank != 0) {
         force += k->damping * (q_rate - flank * b1_rate);
-        clamp = flank * force;
+        clamp_side = contacts->mesh_clamped ? -flank : flank;
+        clamp = clamp_side * force;
         if (contacts->mesh_clamped) {
-            clamp = -clamp;
             force = 0.0;
         }
     }
@@ -408,13 +428,36 @@ __attribute__((always_inline)) static inline void dynamics(const struct gearbox 
     load_torque += k->load_viscous * omega2;
 
     const struct bearing *bearing1 = &point->bearing[0], *bearing2 = &point->bearing[1];
-    point->acceleration[X1] = (bearing1->contact_x + bearing1->film_x - force * along_x) * k->per_mass1;
-    point->acceleration[Y1] = (bearing1->contact_y + bearing1->film_y - force * along_y) * k->per_mass1;
-    point->acceleration[X2] = (bearing2->contact_x + bearing2->film_x + force * along_x) * k->per_mass2;
-    point->acceleration[Y2] = (bearing2->contact_y + bearing2->film_y + force * along_y) * k->per_mass2;
-    point->acceleration[OMEGA1] = (g->drive_torque - force * rb1) * k->per_inertia1;
-    point->acceleration[OMEGA2] = (force * rb2 - load_torque) * k->per_inertia2;
+    point->acceleration[X1] = (bearing1->contact_x + bearing1->film_x - force * along_x) * k->per_mass[0];
+    point->acceleration[Y1] = (bearing1->contact_y + bearing1->film_y - force * along_y) * k->per_mass[0];
+    point->acceleration[X2] = (bearing2->contact_x + bearing2->film_x + force * along_x) * k->per_mass[1];
+    point->acceleration[Y2] = (bearing2->contact_y + bearing2->film_y + force * along_y) * k->per_mass[1];
+    point->acceleration[OMEGA1] = (g->drive_torque - force * rb1) * k->per_inertia[0];
+    point->acceleration[OMEGA2] = (force * rb2 - load_torque) * k->per_inertia[1];
+    double lean_x = along_x, lean_y = along_y;
+    if (!k->exact_geometry) {
+        lean_x += flank * sin_alpha * cos_beta;
+        lean_y += flank * sin_alpha * sin_beta;
+    }
+    const double *acceleration = point->acceleration;
+    const double phi_acceleration = k->nominal_phase ? 0.0 : k->teeth1 * acceleration[OMEGA1];
+    const double z_acceleration =
+        phi_rate * phi_rate * excitation[SURFACE_CURVATURE] + phi_acceleration * excitation[SURFACE_SLOPE];
+    const double e_acceleration =
+        phi_rate * phi_rate * excitation[ERROR_CURVATURE] + phi_acceleration * excitation[ERROR_SLOPE];
+    const double approach_acceleration =
+        rb1 * acceleration[OMEGA1] - rb2 * acceleration[OMEGA2] -
+        lean_x * (acceleration[X2] - acceleration[X1]) - lean_y * (acceleration[Y2] - acceleration[Y1]) +
+        0.5 * flank * z_acceleration - e_acceleration;
+    const double push_rate = k->stiffness * phi_rate * excitation[STIFFNESS_SLOPE] * (q - flank * b1) +
+                             k1 * (q_rate - flank * b1_rate) + k->damping * approach_acceleration;
+
     point->mesh_force = force;
+    point->along_x = along_x;
+    point->along_y = along_y;
+    point->stiffness = k1;
+    point->surface = z;
+    point->surface_rate = z_rate;
     point->q = q;
     point->q_rate = q_rate;
     point->tan_alpha = tan_alpha;
@@ -425,6 +468,9 @@ __attribute__((always_inline)) static inline void dynamics(const struct gearbox 
     surfaces->value[LOWER_GAP] = lower;
     surfaces->rate[LOWER_GAP] = lower_rate;
     surfaces->value[MESH_CLAMP] = clamp;
+    surfaces->rate[MESH_CLAMP] = clamp_side * push_rate;
+    for (int i = 0; i < 2; i++)
+        surfaces->rate[BEARING_CLAMP + i] = bearing_clamp_rate(g, i, state, point);
 }
 
 static void evaluate(const struct gearbox *g, struct moment *moment)
@@ -437,7 +483,7 @@ static inline void position_rates(const struct constants *k, const struct state 
     const double *velocity = state->velocity;
     for (int i = 0; i < U; i++)
         rate[i] = velocity[i];
-    rate[U] = k->base_radius1 * velocity[OMEGA1] - k->base_radius2 * velocity[OMEGA2];
+    rate[U] = k->base_radius[0] * velocity[OMEGA1] - k->base_radius[1] * velocity[OMEGA2];
     rate[THETA1] = velocity[OMEGA1];
 }
 
@@ -448,6 +494,45 @@ static inline void move(const struct state *from, double h, const double *rate, 
         to->position[i] = from->position[i] + h * rate[i];
         to->velocity[i] = from->velocity[i] + h * acceleration[i];
     }
+}
+
+/*
+ * What RK4 misses of the surfaces' share of the mesh force, whose shortest waves turn by a radian in a step:
+ * the integral of dz/dt is the difference of z, that of z is taken to sixth order from values and rates.
+ */
+static inline void add_surface_impulse(const struct gearbox *g, double h, const struct point *middle,
+                                       const struct point *late, const struct point *last, struct state *end)
+{
+    const struct constants *k = &g->constants;
+    const struct point *first = &g->here->point;
+    const double z0 = first->surface, s0 = first->surface_rate;
+    const double z1 = last->surface, s1 = last->surface_rate;
+    const double z_middle = 0.5 * (middle->surface + late->surface);
+    const double s_middle = 0.5 * (middle->surface_rate + late->surface_rate);
+    const double sixth = h / 6.0, rise = z1 - z0;
+    const double integral = h * (7.0 * (z0 + z1) + 16.0 * z_middle) / 30.0 + h * h * (s0 - s1) / 60.0;
+    const double damping = k->contact_damping ? k->damping : 0.0;
+    const double grip = k->contact_damping && g->contacts.mesh_clamped ? 0.0 : 0.5 * g->contacts.flank;
+    const double taken = sixth * (4.0 * (z_middle - z0) - h * (s0 + middle->surface_rate) + rise -
+                                  h * late->surface_rate);
+    const double impulse = grip * (damping * (rise - sixth * (s0 + 4.0 * s_middle + s1)) +
+                                   late->stiffness * (integral - sixth * (z0 + 4.0 * z_middle + z1)) -
+                                   damping * damping * k->per_mesh_mass * taken);
+    const double shift = grip * damping * (integral - h * z0 - h * sixth * (s0 + 2.0 * s_middle));
+    const double along[2] = {late->along_x, late->along_y};
+    for (int i = 0; i < 2; i++) {
+        const double side = i == 0 ? -1.0 : 1.0;
+        for (int axis = 0; axis < 2; axis++) {
+            end->position[2 * i + axis] += side * shift * k->per_mass[i] * along[axis];
+            end->velocity[2 * i + axis] += side * impulse * k->per_mass[i] * along[axis];
+        }
+        const double turn = side * shift * k->base_radius[i] * k->per_inertia[i];
+        end->velocity[OMEGA1 + i] += side * impulse * k->base_radius[i] * k->per_inertia[i];
+        end->position[U] -= side * k->base_radius[i] * turn;
+        if (i == 0)
+            end->position[THETA1] += turn;
+    }
+    end->impulse += impulse;
 }
 
 /*
@@ -495,12 +580,14 @@ static void try_step(struct gearbox *g, double nominal_turn, double h)
             start->velocity[i] + sixth * (first[i] + last.acceleration[i]) + third * inner;
     }
     const double drift1 = drift[OMEGA1], drift2 = drift[OMEGA2];
-    drift[U] = k->base_radius1 * drift1 - k->base_radius2 * drift2;
+    drift[U] = k->base_radius[0] * drift1 - k->base_radius[1] * drift2;
     drift[THETA1] = drift1;
     for (int i = 0; i < FREEDOMS; i++)
         end->state.position[i] = start->position[i] + h * (rate1[i] + sixth * drift[i]);
     end->state.impulse = start->impulse + sixth * (g->here->point.mesh_force + last.mesh_force) +
                          third * (middle.mesh_force + late.mesh_force);
+    if (g->contacts.flank != 0)
+        add_surface_impulse(g, h, &middle, &late, &last, &end->state);
     end->lag = nominal ? 0.0 : k->teeth1 * (end->state.position[THETA1] - theta1);
     evaluate(g, end);
 }
@@ -554,29 +641,26 @@ static double hermite_root(double v0, double r0, double v1, double r1)
     return s;
 }
 
-/* Clamps have no known rate: it would need the derivative of the accelerations. */
-static bool has_rate(int event)
-{
-    return event != MESH_CLAMP && event != BEARING_CLAMP && event != BEARING_CLAMP + 1;
-}
-
 static double event_tolerance(int event)
 {
-    return has_rate(event) ? GAP_TOLERANCE : CLAMP_TOLERANCE;
+    const bool clamp = event == MESH_CLAMP || event == BEARING_CLAMP || event == BEARING_CLAMP + 1;
+    return clamp ? CLAMP_TOLERANCE : GAP_TOLERANCE;
 }
 
-static const int GAPS[] = {UPPER_GAP, LOWER_GAP, BEARING_GAP, BEARING_GAP + 1};
-enum { GAP_COUNT = sizeof GAPS / sizeof GAPS[0] };
-
-/* Whether a surface was crossed over the trial of length h, or a gap may have closed and opened again. */
+/*
+ * Whether a surface may have been crossed over the trial of length h: the cubic through its values and rates
+ * stays positive where its values and those a third of the step along the tangents are.
+ */
 static inline bool is_eventful(const struct gearbox *g, double h)
 {
     const struct surfaces *start = &g->here->point.surfaces, *end = &g->end->point.surfaces;
+    const double third = h / 3.0;
     bool crossed = false;
-    for (int event = 0; event < EVENTS; event++)
+    for (int event = 0; event < EVENTS; event++) {
         crossed |= end->value[event] < 0.0;
-    for (int i = 0; i < GAP_COUNT; i++)
-        crossed |= start->value[GAPS[i]] + h * start->rate[GAPS[i]] < 0.0;
+        crossed |= end->value[event] - third * end->rate[event] < 0.0;
+        crossed |= start->value[event] + third * start->rate[event] < 0.0;
+    }
     return crossed;
 }
 
@@ -591,8 +675,7 @@ static int first_violated(const struct surfaces *start, const struct surfaces *e
             continue;
         double at = 0.0;
         if (v0 > 0.0)
-            at = has_rate(event) ? hermite_root(v0, h * start->rate[event], v1, h * end->rate[event])
-                                 : v0 / (v0 - v1);
+            at = hermite_root(v0, h * start->rate[event], v1, h * end->rate[event]);
         if (at < earliest) {
             first = event;
             earliest = at;
@@ -601,13 +684,13 @@ static int first_violated(const struct surfaces *start, const struct surfaces *e
     return first;
 }
 
-/* Fraction of the step at which a gap open at both ends seems to close and open again, or 0. */
+/* Fraction of the step at which a surface seems to be crossed and crossed back, or 0. */
 static double grazing_fraction(const struct surfaces *start, const struct surfaces *end, double h)
 {
-    for (int i = 0; i < GAP_COUNT; i++) {
-        const double v0 = start->value[GAPS[i]], r0 = h * start->rate[GAPS[i]];
-        const double v1 = end->value[GAPS[i]], r1 = h * end->rate[GAPS[i]];
-        if (v0 <= 0.0 || v0 + r0 >= 0.0 || r1 <= 0.0)
+    for (int event = 0; event < EVENTS; event++) {
+        const double v0 = start->value[event], r0 = h * start->rate[event];
+        const double v1 = end->value[event], r1 = h * end->rate[event];
+        if (v0 <= 0.0 || r0 >= 0.0 || r1 <= 0.0)
             continue;
         const struct cubic cubic = hermite(v0, r0, v1, r1);
         double low = 0.0, high = 1.0;
@@ -643,6 +726,7 @@ static void flip(struct gearbox *g, int event)
             const double closing = g->here->point.bearing[i].closing;
             const double slowest = g->constants.minimum_impact_speed;
             contacts->impact_speed[i] = closing > slowest ? closing : slowest;
+            contacts->age[i] = 0.0;
             g->counters.impacts++;
         }
     } else if (event < FILM_LIMIT) {
@@ -702,8 +786,8 @@ static int crossed_earlier(const struct surfaces *low, const struct surfaces *en
 
 /*
  * Shorten the step h until it ends on the first event; event is positive here and negative at the end on
- * entry. The next trial ends at the root of the cubic through both ends of the bracket or, where no rate is
- * known, of the secant weighted after Illinois. A second event that comes earlier takes over.
+ * entry. The next trial ends at the root of the cubic through both ends of the bracket; the late ones bisect.
+ * A second event that comes earlier takes over.
  */
 static int locate(struct gearbox *g, double nominal_turn, int event, double *h)
 {
@@ -713,17 +797,12 @@ static int locate(struct gearbox *g, double nominal_turn, int event, double *h)
     double low = 0.0, high = whole;
     double v_high = end->value[event], r_high = end->rate[event];
     double tolerance = event_tolerance(event) * (low_surfaces.value[event] - v_high);
-    double weight_low = 1.0, weight_high = 1.0;
-    int side = 0;
 
     for (int n = 0; n < SEARCH_LIMIT; n++) {
-        const double v_low = low_surfaces.value[event], width = high - low;
-        const double fraction =
-            has_rate(event)
-                ? hermite_root(v_low, width * low_surfaces.rate[event], v_high, width * r_high)
-                : weight_low * v_low / (weight_low * v_low - weight_high * v_high);
-        double at = low + fraction * width;
-        if (!(low < at && at < high))
+        const double width = high - low;
+        double at = low + width * hermite_root(low_surfaces.value[event], width * low_surfaces.rate[event],
+                                               v_high, width * r_high);
+        if (!(low < at && at < high) || n >= SEARCH_LIMIT / 2)
             at = 0.5 * (low + high);
         try_step(g, nominal_turn, at);
         *h = at;
@@ -735,8 +814,6 @@ static int locate(struct gearbox *g, double nominal_turn, int event, double *h)
             v_high = end->value[event];
             r_high = end->rate[event];
             tolerance = event_tolerance(event) * (low_surfaces.value[event] - v_high);
-            weight_low = weight_high = 1.0;
-            side = 0;
             continue;
         }
         const double value = end->value[event];
@@ -746,29 +823,34 @@ static int locate(struct gearbox *g, double nominal_turn, int event, double *h)
             high = at;
             v_high = value;
             r_high = end->rate[event];
-            weight_high = 1.0;
-            weight_low = side == -1 ? 0.5 * weight_low : 1.0;
-            side = -1;
         } else {
             low = at;
             low_surfaces = *end;
-            weight_low = 1.0;
-            weight_high = side == 1 ? 0.5 * weight_high : 1.0;
-            side = 1;
         }
     }
     g->counters.capped++;
     return event;
 }
 
-/* The clamps' mean rates over the substep, in place of the rates that are not known. */
-static void note_clamp_rates(struct gearbox *g, double h)
+/*
+ * At most h, and less where a bearing contact begins or ends, where delta^1.5 is not smooth: no substep is
+ * longer than the age of a contact, nor than half the time it seems to have left.
+ */
+static double longest_near_gap(const struct gearbox *g, double h)
 {
-    static const int clamps[] = {MESH_CLAMP, BEARING_CLAMP, BEARING_CLAMP + 1};
-    const struct surfaces *start = &g->here->point.surfaces;
-    struct surfaces *end = &g->end->point.surfaces;
-    for (size_t i = 0; i < sizeof clamps / sizeof clamps[0]; i++)
-        end->rate[clamps[i]] = (end->value[clamps[i]] - start->value[clamps[i]]) / h;
+    const double shortest = GAP_FRACTION * g->constants.step;
+    if (g->constants.kelvin)
+        return h;
+    for (int i = 0; i < 2; i++) {
+        if (!g->contacts.touching[i])
+            continue;
+        const struct bearing *bearing = &g->here->point.bearing[i];
+        h = fmin(h, fmax(g->contacts.age[i], shortest));
+        const double opening = -bearing->closing;
+        if (2.0 * h * opening > bearing->penetration)
+            h = fmax(0.5 * bearing->penetration / opening, fmin(h, shortest));
+    }
+    return h;
 }
 
 /* The step, halved until it bears the damping of the bearing contacts. */
@@ -776,22 +858,24 @@ static double longest_substep(struct gearbox *g)
 {
     const struct constants *k = &g->constants;
     const struct bearing *bearing = g->here->point.bearing;
-    const double rate1 = bearing[0].damping * k->per_mass1, rate2 = bearing[1].damping * k->per_mass2;
-    const double rate = rate1 > rate2 ? rate1 : rate2;
+    const double rate1 = bearing[0].damping * k->per_mass[0], rate2 = bearing[1].damping * k->per_mass[1];
+    const double rate = rate1 > rate2 ? rate1 : rate2, step = longest_near_gap(g, k->step);
     double substeps = 1.0;
-    while (k->step * rate > STIFFNESS_LIMIT * substeps) {
+    while (step * rate > STIFFNESS_LIMIT * substeps) {
         substeps *= 2.0;
         if (substeps == SUBSTEPS_LIMIT) {
             g->counters.capped++;
             break;
         }
     }
-    return k->step / substeps;
+    return step / substeps;
 }
 
-static int contact_count(const struct gearbox *g)
+static inline void accept_after(struct gearbox *g, double h)
 {
-    return g->contacts.touching[0] + g->contacts.touching[1];
+    accept(g);
+    g->contacts.age[0] += h;
+    g->contacts.age[1] += h;
 }
 
 /* One step in substeps of at most longest, split at every event; a first trial of longest has been made. */
@@ -799,7 +883,7 @@ static void split_step(struct gearbox *g, double longest)
 {
     const double step = g->constants.step;
     double nominal_turn = g->nominal_turn, done = 0.0, h = longest;
-    int stops = 0, contacts = contact_count(g);
+    int stops = 0;
     bool tried = true;
 
     for (;;) {
@@ -833,8 +917,7 @@ static void split_step(struct gearbox *g, double longest)
                 g->counters.capped++;
         }
 
-        note_clamp_rates(g, h);
-        accept(g);
+        accept_after(g, h);
         done += h;
         nominal_turn += h * g->speed * TURNS_PER_RADIAN;
         if (event != NO_EVENT)
@@ -842,11 +925,7 @@ static void split_step(struct gearbox *g, double longest)
         h = step - done;
         if (h <= SHORTEST_SUBSTEP * step)
             break;
-        if (h > longest)
-            h = longest;
-        if (contact_count(g) > contacts)
-            h *= ONSET_FRACTION;
-        contacts = contact_count(g);
+        h = longest_near_gap(g, fmin(h, longest));
     }
 
     if (stops >= STOPS_PER_STEP) {
@@ -905,7 +984,7 @@ static void make_step(struct gearbox *g)
     if (longest < step || is_eventful(g, step))
         split_step(g, longest);
     else
-        accept(g);
+        accept_after(g, step);
     wrap(g);
     if (g->constants.nominal_phase)
         advance_nominal(g);
@@ -981,7 +1060,7 @@ static void write_sample(const struct gearbox *g, double time, double turn, doub
     *row++ = position[THETA1];
     *row++ = TWO_PI * (mesh_turn - floor(mesh_turn));
     angles[0] = TWO_PI * (double)g->revolutions + position[THETA1];
-    angles[1] = (k->base_radius1 * angles[0] - position[U]) / k->base_radius2;
+    angles[1] = (k->base_radius[0] * angles[0] - position[U]) / k->base_radius[1];
 }
 
 void gearbox_free(struct gearbox *g)

@@ -1,0 +1,191 @@
+"""Every benchmark in one run, as a page of Markdown: python benchmarks [--output benchmarks/results.md]."""
+
+from __future__ import annotations
+
+import argparse
+import platform
+from collections.abc import Callable, Iterator
+from itertools import product
+from pathlib import Path
+from typing import NamedTuple
+
+import general_solvers
+import numpy as np
+import plain_c
+import speed
+
+from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.parameters import Parameters
+
+REAL_TIME_AIMED_AT = {"traditional": 5.0, "compared": 5.0, "improved": 3.0}
+RATIO_AIMED_AT = 1.2
+SOLVER_REPEATS = 3
+
+Lines = list[str]
+
+
+class Section(NamedTuple):
+    """A heading, what the table under it shows, and how to make the table."""
+
+    title: str
+    note: str
+    table: Callable[[], Lines]
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--output", type=Path, help="also write the page to this file")
+    output: Path | None = parser.parse_args().output
+    page: Lines = []
+    for part in parts():
+        print("\n".join(part), flush=True)
+        page += part
+    if output is not None:
+        output.write_text("\n".join(page).rstrip() + "\n", encoding="utf-8")
+
+
+def parts() -> Iterator[Lines]:
+    """The page, piece by piece as it is measured."""
+    yield [
+        "# Benchmarks",
+        "",
+        f"Made by `make bench` on one core of {processor()}, Python {platform.python_version()}. 15500 rpm, "
+        "steps of 1 us, all channels at 100 kHz and chunks of 2 ms unless said otherwise; medians of turns "
+        "in one run.",
+        "",
+    ]
+    for section in sections():
+        yield [f"## {section.title}", "", *([section.note, ""] if section.note else []), *section.table(), ""]
+
+
+def sections() -> list[Section]:
+    """What is measured."""
+    try:
+        plain_c.library()
+    except GearboxError as error:
+        yardsticks = [Section("Speed", f"Without the C program: {error}.", engine_alone)]
+    else:
+        yardsticks = [
+            Section(
+                "Speed, beside a plain C program",
+                f"`plain/gearbox.c`, compiled by `{plain_c.command()}`: the same integrator, events and "
+                "samples; works and losses, and the list of impacts, are the engine's alone. DTE is compared "
+                "over the first millisecond. The ratio is that of times, engine to C, turn by turn.",
+                beside_c,
+            ),
+            Section(
+                "One evaluation",
+                "ns, each on the result of the one before: a right-hand side with flags frozen; the sum of "
+                "all periodic excitations at any phase; and, as the engine's whole steps take it, half a "
+                "step on.",
+                evaluations,
+            ),
+        ]
+    return [
+        *yardsticks,
+        Section("Step", "Model improved.", speed.steps),
+        Section("Sampling", "Model improved, all 28 channels.", speed.sampling),
+        Section("Chunks", "Model improved.", speed.chunks),
+        Section(
+            "Recording",
+            "By the clock on the wall, the files finished.",
+            lambda: speed.recording(tuple(REAL_TIME_AIMED_AT)),
+        ),
+        Section("Error", "Beside the independent solver of the tests.", speed.referee),
+        Section(
+            "General solvers",
+            "Processor time for the first millisecond of DTE, and its largest error.",
+            lambda: general_solvers.compare(SOLVER_REPEATS),
+        ),
+    ]
+
+
+def cases() -> Iterator[tuple[str, str, Parameters]]:
+    """Both files in all models."""
+    for name, model in product(speed.FILES, REAL_TIME_AIMED_AT):
+        yield name, model, speed.parameters_of(name, model=model)
+
+
+def beside_c() -> Lines:
+    """Engine and C program in turns."""
+    lines = [
+        "| parameters | model | engine, ns per step | C, ns per step | ratio | goal | times real time | goal "
+        "| DTE differs by, m | events, engine and C |",
+        "|---" * 10 + "|",
+    ]
+    for name, model, parameters in cases():
+        of_program, of_engine, ratio = plain_c.step_ns(parameters)
+        same = plain_c.compare(parameters)
+        lines.append(
+            f"| {name}.yaml | {model} | {of_engine:.0f} | {of_program:.0f} | {ratio:.2f} "
+            f"| {at_most(RATIO_AIMED_AT, ratio)} | {real_time(model, of_engine, parameters)} "
+            f"| {same.dte:.1e} | {same.engine_events}, {same.events} |"
+        )
+    return lines
+
+
+def engine_alone() -> Lines:
+    """The engine where there is no C compiler."""
+    lines = ["| parameters | model | ns per step | times real time | goal |", "|---" * 5 + "|"]
+    for name, model, parameters in cases():
+        cost = float(np.median(speed.turns({model: Engine(parameters)})))
+        nanoseconds = cost * parameters.solver.step * 1e9
+        lines.append(
+            f"| {name}.yaml | {model} | {nanoseconds:.0f} | {real_time(model, nanoseconds, parameters)} |"
+        )
+    return lines
+
+
+def evaluations() -> Lines:
+    """Parts of the engine and of the C program."""
+    lines = [
+        "| parameters | model | right-hand side, engine | C | excitations, engine | C "
+        "| half a step on, engine |",
+        "|---" * 7 + "|",
+    ]
+    for name, model, parameters in cases():
+        ours = speed.costs(parameters)
+        program = plain_c.PlainC(parameters)
+        program.advance(plain_c.WARM_CHUNKS * parameters.solver.samples_per_chunk)
+        lines.append(
+            f"| {name}.yaml | {model} | {ours.right_hand_side:.1f} | {program.evaluation_ns():.1f} "
+            f"| {ours.excitations:.1f} | {program.excitation_ns():.1f} | {ours.excitations_on:.1f} |"
+        )
+    return lines
+
+
+def real_time(model: str, nanoseconds: float, parameters: Parameters) -> str:
+    """Two cells: times real time, and the goal."""
+    times = parameters.solver.step * 1e9 / nanoseconds
+    return f"{times:.2f} | {at_least(REAL_TIME_AIMED_AT[model], times)}"
+
+
+def at_least(goal: float, value: float) -> str:
+    """The goal, and whether it is met or by how much it is missed."""
+    return f"at least {goal:g}, " + (
+        "met" if value >= goal else f"missed by {100 * (1 - value / goal):.0f} %"
+    )
+
+
+def at_most(goal: float, value: float) -> str:
+    """The goal, and whether it is met or by how much it is missed."""
+    verdict = "met" if value <= goal else f"missed by {100 * (value / goal - 1):.0f} %"
+    return f"at most {goal:g}, {verdict}"
+
+
+def processor() -> str:
+    """Its name, as far as the system tells."""
+    try:
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
+    except OSError:
+        text = ""
+    for line in text.splitlines():
+        if line.startswith("model name"):
+            return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+if __name__ == "__main__":
+    main()
