@@ -49,7 +49,10 @@ class Ledger:
         self._last, self._latest = sample, energies
 
     def block(self, interval: float, parameters: Parameters) -> dict[str, Any] | None:
-        """Changes in J over the recording and what they leave unexplained; None if nothing was recorded."""
+        """Changes in J over the recording and what they leave unexplained; None if nothing was recorded.
+
+        ``exchanged`` adds up the sizes of all works and losses chunk by chunk, to hold the residual against.
+        """
         if self._first is None:
             return None
         changes = dict(zip(NAMES, self._changes.tolist(), strict=True))
