@@ -44,8 +44,8 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="analyze",
         description="Figures (PNG), a summary (JSON) and the bearing impacts (CSV) of a recording. "
-        "The overview shows the whole run, "
-        f"the others a window: by default the last {summary.WINDOW:g} s without a change of commands.",
+        "The overview shows the whole run, the others a window: "
+        f"by default the last {summary.WINDOW:g} s without a change of commands.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 folder or .mcap file")
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder to write to")
