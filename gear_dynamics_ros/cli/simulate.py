@@ -14,6 +14,7 @@ from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages import Encoder, Record
 from gear_dynamics_ros.parameters import Parameters, load
+from gear_dynamics_ros.physics import step_check
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.recordings import RecorderSink
 from gear_dynamics_ros.resources import share_file
@@ -65,6 +66,8 @@ def simulate(arguments: argparse.Namespace) -> int:
     """Simulate and record; exit code 1 if the run ended before its time."""
     parameters = load(arguments.params_file or share_file("config/gearbox.yaml"), arguments.set)
     duration = checked_duration(arguments.duration, parameters)
+    for line in step_check.warnings(parameters):
+        print(f"simulate: warning: {line}", file=sys.stderr)
     engine = Engine(parameters)
     recorder = Recorder(arguments.output, parameters, engine.checkpoint(), EPOCH_NS)
     run = Run(engine, Encoder(parameters, EPOCH_NS), [StrictRecorderSink(recorder)], duration=duration)
