@@ -545,8 +545,7 @@ def mesh(constants: Record, state: Record, motion: Motion, excitation: Floats, l
     half = 0.5 * lag
     phase_speed = state.speed if constants.nominal_phase else motion.omega[0]
     phi_rate = constants.teeth1 * phase_speed
-    z = excitation[SURFACE] + lag * (excitation[SURFACE_SLOPE] + half * excitation[SURFACE_CURVATURE])
-    z_rate = phi_rate * (excitation[SURFACE_SLOPE] + lag * excitation[SURFACE_CURVATURE])
+    z, z_rate = surface_at(excitation, lag, phi_rate)
     k1 = constants.stiffness * (1.0 + excitation[STIFFNESS] + lag * excitation[STIFFNESS_SLOPE])
     k1_rate = constants.stiffness * phi_rate * excitation[STIFFNESS_SLOPE]
     e_moving = excitation[ERROR] + lag * (excitation[ERROR_SLOPE] + half * excitation[ERROR_CURVATURE])
@@ -845,15 +844,15 @@ def try_step(
 
     motion2 = moved(constants, start, half, start, first)
     lag = lagging * half * (start.omega[0] - reference_speed)
-    second, teeth2, _, _, _ = dynamics(constants, state, motion2, end.middle, lag)
+    second, _, _, _, _ = dynamics(constants, state, motion2, end.middle, lag)
 
     motion3 = moved(constants, start, half, motion2, second)
     lag = lagging * half * (motion2.omega[0] - reference_speed)
-    third_rates, teeth3, _, _, _ = dynamics(constants, state, motion3, end.middle, lag)
+    third_rates, teeth, _, _, _ = dynamics(constants, state, motion3, end.middle, lag)
 
     motion4 = moved(constants, start, h, motion3, third_rates)
     lag = lagging * h * (motion3.omega[0] - reference_speed)
-    fourth, teeth4, _, _, _ = dynamics(constants, state, motion4, end.excitation, lag)
+    fourth, _, _, _, _ = dynamics(constants, state, motion4, end.excitation, lag)
 
     # Positions need k1 + k2 + k3 of the accelerations, speeds k1 + 2 k2 + 2 k3 + k4.
     ax, ay, alpha = second.ax + third_rates.ax, second.ay + third_rates.ay, second.alpha + third_rates.alpha
@@ -901,7 +900,7 @@ def try_step(
     end.time = here.time + h
     end.lag = lagging * h * (turned[0] - reference_speed)
     if state.flank != 0.0:
-        end.lag += lagging * add_surface_impulse(constants, state, here, end, h, teeth2, teeth3, teeth4)
+        end.lag += lagging * add_surface_impulse(constants, state, here, end, h, end.lag, teeth)
     end.turn = TURNS_PER_RADIAN * end.theta1
     if constants.nominal_phase:
         end.turn = here.turn + TURNS_PER_RADIAN * h * state.speed
@@ -912,48 +911,56 @@ def try_step(
 
 
 @hot
+def surface_at(excitation: Floats, lag: float, phi_rate: float) -> tuple[float, float]:
+    """Height z1 + z2 and its rate, ``lag`` rad of mesh phase ahead of ``excitation``."""
+    slope = excitation[SURFACE_SLOPE] + 0.5 * lag * excitation[SURFACE_CURVATURE]
+    rate = phi_rate * (excitation[SURFACE_SLOPE] + lag * excitation[SURFACE_CURVATURE])
+    return excitation[SURFACE] + lag * slope, rate
+
+
+@hot
 def add_surface_impulse(
-    constants: Record,
-    state: Record,
-    here: Record,
-    end: Record,
-    h: float,
-    second: Mesh,
-    third: Mesh,
-    fourth: Mesh,
+    constants: Record, state: Record, here: Record, end: Record, h: float, lag: float, middle: Mesh
 ) -> float:
     """Make up for what RK4 misses of the surfaces' share of the mesh force, f/2 (k1 z + c1 dz/dt).
 
     The shortest waves turn by a radian in a step; RK4 sums them by Simpson's rule, and the impacts magnify
     its error a hundredfold. Here the integral of dz/dt is the difference of z, that of z is taken to sixth
-    order from values and rates, and the speed that dz/dt gives enters the damping. Returns how far gear 1
-    turns by it, in rad.
+    order from values and rates, and the speed that dz/dt gives enters the damping. All of it follows the
+    cubic through the phase's ends, so that what is added vanishes with the fifth power of ``h``. ``end`` is
+    ``lag`` rad of mesh phase ahead of its excitations. Returns how far gear 1 turns by it, in rad.
     """
-    z0, s0, z1, s1 = here.surface, here.surface_rate, fourth.surface, fourth.surface_rate
-    z_middle = 0.5 * (second.surface + third.surface)
-    s_middle = 0.5 * (second.surface_rate + third.surface_rate)
-    integral = h * (7.0 * (z0 + z1) + 16.0 * z_middle) / 30.0 + h * h * (s0 - s1) / 60.0
+    rate0, rate1 = constants.teeth1 * here.omega[0], constants.teeth1 * end.omega[0]
+    turned = constants.teeth1 * (end.theta1 - here.theta1)
+    rate_middle = 1.5 * turned / h - 0.25 * (rate0 + rate1)
+    lag_middle = 0.5 * lag + 0.125 * h * (rate0 - rate1)
+    if constants.nominal_phase:
+        rate1 = rate_middle = constants.teeth1 * state.speed
+        lag_middle = 0.0
+    z0, s0 = here.surface, here.surface_rate
+    zm, sm = surface_at(end.middle, lag_middle, rate_middle)
+    z1, s1 = surface_at(end.excitation, lag, rate1)
+    integral = h * (7.0 * (z0 + z1) + 16.0 * zm) / 30.0 + h * h * (s0 - s1) / 60.0
     damping, grip = 0.0, 0.5 * state.flank
     if constants.contact_damping:
         damping = constants.damping
         grip *= 1.0 - state.mesh_clamped
-    taken = 2.0 * (second.surface + third.surface - 2.0 * z0) - h * (s0 + second.surface_rate)
-    taken = h / 6.0 * (taken + (z1 - z0) - h * third.surface_rate)
+    taken = h / 6.0 * (4.0 * (zm - z0) + (z1 - z0) - h * (s0 + 2.0 * sm))
     impulse = grip * (
-        damping * ((z1 - z0) - h / 6.0 * (s0 + 4.0 * s_middle + s1))
-        + third.stiffness * (integral - h / 6.0 * (z0 + 4.0 * z_middle + z1))
+        damping * ((z1 - z0) - h / 6.0 * (s0 + 4.0 * sm + s1))
+        + middle.stiffness * (integral - h / 6.0 * (z0 + 4.0 * zm + z1))
         - damping * damping * constants.per_mesh_mass * taken
     )
-    shift = grip * damping * (integral - h * z0 - h * h / 6.0 * (s0 + 2.0 * s_middle))
+    shift = grip * damping * (integral - h * z0 - h * h / 6.0 * (s0 + 2.0 * sm))
     per_mass = load2(constants.per_mass, 0)
     per_inertia = load2(constants.base_radius, 0) * load2(constants.per_inertia, 0)
     push, move = both(-impulse, impulse) * per_mass, both(-shift, shift) * per_mass
     turn = both(-shift, shift) * per_inertia
-    store(end.vx, 0, load2(end.vx, 0) + push * third.along_x)
-    store(end.vy, 0, load2(end.vy, 0) + push * third.along_y)
+    store(end.vx, 0, load2(end.vx, 0) + push * middle.along_x)
+    store(end.vy, 0, load2(end.vy, 0) + push * middle.along_y)
     store(end.omega, 0, load2(end.omega, 0) + both(-impulse, impulse) * per_inertia)
-    store(end.x, 0, load2(end.x, 0) + move * third.along_x)
-    store(end.y, 0, load2(end.y, 0) + move * third.along_y)
+    store(end.x, 0, load2(end.x, 0) + move * middle.along_x)
+    store(end.y, 0, load2(end.y, 0) + move * middle.along_y)
     end.u += u_rate(constants, turn)
     end.theta1 += turn[0]
     end.mesh_impulse += impulse
