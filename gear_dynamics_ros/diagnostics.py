@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -13,6 +13,7 @@ from gear_dynamics_ros.commands import Tally
 from gear_dynamics_ros.live import Live
 from gear_dynamics_ros.pacing import Pace
 from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.physics.step_check import Check
 from gear_dynamics_ros.recording.writer import Recorder, Stats
 from gear_dynamics_ros.signals import Counters
 from gear_dynamics_ros.viewer import Viewer
@@ -90,13 +91,14 @@ def surface(parameters: Parameters, speed: float) -> Surface:
     return Surface(waves * abs(speed) / (2.0 * math.pi), 0.5 / parameters.solver.sample_interval)
 
 
-def statuses(name: str, node: str, health: Health, waves: Surface) -> list[Any]:
+def statuses(name: str, node: str, health: Health, waves: Surface, checks: Sequence[Check]) -> list[Any]:
     """One DiagnosticStatus a task; ``name`` heads each, ``node`` is the hardware_id."""
     tasks = {
         "run": _run(health.run),
         "pacing": _pacing(health),
         "commands": _commands(health.commands),
         "contacts": _contacts(health.counters),
+        "step": _step(checks),
         "waveform": _waveform(waves),
         "recorder": _recorder(health.recorder),
         "viewer": _viewer(health.viewer),
@@ -161,6 +163,14 @@ def _commands(commands: CommandHealth) -> _Task:
 def _contacts(counters: Counters) -> _Task:
     message = "some event searches met their limit" if counters.capped else "all events located"
     return OK, message, counters._asdict()
+
+
+def _step(checks: Sequence[Check]) -> _Task:
+    values = {f"step times {check.name}": f"{check.value:.3g}, limit {check.limit:.3g}" for check in checks}
+    failed = [check.message for check in checks if not check.holds]
+    if failed:
+        return WARN, "; ".join(failed), values
+    return OK, "the step bears every rate", values
 
 
 def _waveform(waves: Surface) -> _Task:

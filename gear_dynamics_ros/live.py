@@ -211,11 +211,15 @@ class Live:
 
 
 def warm_up(parameters: Parameters, say: Callable[[str], object]) -> None:
-    """Compile the kernel unless that has been done; ``say`` so if it takes long."""
+    """Compile the kernel unless that has been done; ``say`` so, and how long it took, if it takes long."""
     notice = threading.Timer(PATIENCE, say, ["compiling the kernel; only a first start takes this long"])
     notice.daemon = True
+    began = time.perf_counter()
     notice.start()
     try:
         Engine(parameters).advance(1)
     finally:
         notice.cancel()
+    elapsed = time.perf_counter() - began
+    if elapsed > PATIENCE:
+        say(f"compiled in {elapsed:.0f} s")

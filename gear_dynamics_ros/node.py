@@ -25,6 +25,7 @@ from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.live import Live, warm_up
 from gear_dynamics_ros.messages import Encoder, Record, message_class, serialize, stamp
 from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.physics import step_check
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.recordings import Recordings
 from gear_dynamics_ros.run import PAUSE, RESUME, Run, ViewerSink, advice
@@ -330,7 +331,7 @@ class GearboxNode(LifecycleNode):
         self._told_error = error
 
     def _report_advice(self) -> None:
-        for line in advice(self.parameters):
+        for line in (*advice(self.parameters), *step_check.warnings(self.parameters)):
             self._log.warning(line)
 
     def _report(self) -> None:
@@ -344,6 +345,7 @@ class GearboxNode(LifecycleNode):
             self.get_fully_qualified_name(),
             diagnostics.health(live, self._recordings.current, self._viewer, self._factor),
             diagnostics.surface(self.parameters, live.run.engine.commands.speed),
+            step_check.checks(self.parameters, live.run.engine.commands.speed),
         )
         record = Record("diagnostics", time_ns, bytes(serialize_message(diagnostics.array(found, time_ns))))
         if live.active:

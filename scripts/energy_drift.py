@@ -7,7 +7,7 @@ import io
 import math
 import sys
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -71,9 +71,10 @@ def contact_energy(p: Parameters, bearing: Bearing, depth: float) -> float:
     return derived.hertz_factor(p, bearing.length) * b * b * bracket
 
 
-def energies(p: Parameters, state: list[float], dte: float, half_backlash: float) -> tuple[float, float]:
+def energies(p: Parameters, state: dict[str, Any], dte: float, half_backlash: float) -> tuple[float, float]:
     """(conserved, vibration) energy in J of a pair with balanced torques."""
-    x1, y1, x2, y2, u, _, vx1, vy1, vx2, vy2, omega1, omega2 = state[:12]
+    (x1, x2), (y1, y2), u = state["x"], state["y"], state["u"]
+    (vx1, vx2), (vy1, vy2), (omega1, omega2) = state["vx"], state["vy"], state["omega"]
     gears, bearings = p.gears, p.bearings
     r1, r2 = derived.base_radii(p)
     mass1, mass2 = gears.driving.inertia / r1**2, gears.driven.inertia / r2**2

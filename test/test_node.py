@@ -199,7 +199,7 @@ def test_what_cannot_be_is_refused_and_counted(client, node):
 
 def test_diagnostics_tell_every_task(client):
     found = client.statuses()
-    tasks = ("run", "pacing", "commands", "contacts", "waveform", "recorder", "viewer")
+    tasks = ("run", "pacing", "commands", "contacts", "step", "waveform", "recorder", "viewer")
     assert [name.removeprefix("gearbox: ") for name in found] == list(tasks)
     assert found["gearbox: recorder"].level == DiagnosticStatus.OK
     assert found["gearbox: run"].hardware_id == "/gearbox"

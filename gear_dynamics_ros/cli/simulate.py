@@ -12,8 +12,10 @@ from pathlib import Path
 from gear_dynamics_ros.cli.common import Progress, guarded
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.live import warm_up
 from gear_dynamics_ros.messages import Encoder, Record
 from gear_dynamics_ros.parameters import Parameters, load
+from gear_dynamics_ros.physics import step_check
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.recordings import RecorderSink
 from gear_dynamics_ros.resources import share_file
@@ -65,12 +67,15 @@ def simulate(arguments: argparse.Namespace) -> int:
     """Simulate and record; exit code 1 if the run ended before its time."""
     parameters = load(arguments.params_file or share_file("config/gearbox.yaml"), arguments.set)
     duration = checked_duration(arguments.duration, parameters)
+    for line in step_check.warnings(parameters):
+        print(f"simulate: warning: {line}", file=sys.stderr)
+    warm_up(parameters, lambda line: print(f"simulate: {line}", file=sys.stderr))
     engine = Engine(parameters)
     recorder = Recorder(arguments.output, parameters, engine.checkpoint(), EPOCH_NS)
     run = Run(engine, Encoder(parameters, EPOCH_NS), [StrictRecorderSink(recorder)], duration=duration)
     interval = parameters.solver.sample_interval_ns / 1e9
     try:
-        run.step()  # compiles, which is not part of the pace told below
+        run.step()  # opens the files, which is not part of the pace told below
         warm, began = engine.sample, time.perf_counter()
         with Progress("simulated", round(duration / interval)) as progress:
             while not run.end:
