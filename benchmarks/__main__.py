@@ -96,10 +96,10 @@ def sections() -> list[Section]:
         Section("Error", "Beside the independent solver of the tests.", speed.referee),
         Section(
             "General solvers",
-            "Processor time for the first millisecond of DTE, and its largest error. All have a compiled "
-            "right-hand side and compiled switching surfaces. Stepped by hand, LSODA's steps are watched from "
-            "Python, with neither solve_ivp's bookkeeping nor its search for events; what is left of its cost "
-            "is the call back into Python at each evaluation.",
+            "Processor time for the first millisecond of DTE, and its largest error. All have a "
+            "compiled right-hand side and compiled switching surfaces. Stepped by hand, LSODA's steps are "
+            "watched from Python, with neither solve_ivp's bookkeeping nor its search for events; what is "
+            "left of its cost is the call back into Python at each evaluation.",
             lambda: general_solvers.compare(SOLVER_REPEATS),
         ),
     ]
@@ -133,9 +133,9 @@ def beside_c() -> Lines:
         *lines,
         "",
         "The goals in real time are those of a quiet 3.6 GHz core. The C program, here and with either file, "
-        f"reaches at most {by_c} times real time: where the engine misses a goal beside a ratio that is met, it "
-        "is for want of a faster core. With gearbox.yaml the compared model's bearing contacts begin slowly and "
-        "are stiff, so that its steps are halved.",
+        f"reaches at most {by_c} times real time: where the engine misses a goal beside a ratio that is met, "
+        "it is for want of a faster core. With gearbox.yaml the compared model's bearing contacts begin "
+        "slowly and are stiff, so that its steps are halved.",
     ]
 
 
