@@ -102,10 +102,15 @@ class Engine:
             energies=energies[0],
             impacts=np.concatenate(impacts),
             commands=self.commands,
-            counters=Counters(*(int(self._state[name][0]) for name in Counters._fields)),
+            counters=self.counters,
             status=self.status,
             message=self._reason(),
         )
+
+    @property
+    def counters(self) -> Counters:
+        """Totals since the start or the last reset."""
+        return Counters(*(int(self._state[name][0]) for name in Counters._fields))
 
     def checkpoint(self) -> dict[str, Any]:
         """Everything that decides the future, as JSON keeps it exactly."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_typestore
 
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.signals import CHANNELS, COLUMN, ENERGIES, IMPACTS, Chunk, Commands
+from gear_dynamics_ros.signals import CHANNELS, COLUMN, ENERGIES, IMPACTS, Chunk, Commands, Counters
 
 TYPESTORE: Final = get_typestore(Stores.ROS2_JAZZY)
 
@@ -112,7 +112,14 @@ TOPICS: Final[dict[str, Topic]] = {
         True,
         "commands in force, stamped at the sample where they take effect; laid out like ~/command/joint",
     ),
-    "event": Topic("~/event", STRING, True, 10, True, "JSON: sample, time (s), event, message"),
+    "event": Topic(
+        "~/event",
+        STRING,
+        True,
+        10,
+        True,
+        "JSON: sample, time (s), event, message, counters (steps, located events, capped searches ...)",
+    ),
 }
 
 
@@ -249,10 +256,11 @@ class Encoder:
         )
         return Record("applied_command", time_ns, serialize(JOINT_STATE, message))
 
-    def event(self, kind: str, sample: int, message: str) -> Record:
+    def event(self, kind: str, sample: int, message: str, counters: Counters) -> Record:
         """An event (reset, pause, resume, end ...) that happened before ``sample`` was made."""
         elapsed_ns = sample * self._interval_ns
-        text = json.dumps({"sample": sample, "time": elapsed_ns / 1e9, "event": kind, "message": message})
+        content = {"sample": sample, "time": elapsed_ns / 1e9, "event": kind, "message": message}
+        text = json.dumps(content | {"counters": counters._asdict()})
         data = serialize(STRING, message_class(STRING)(data=text))
         return Record("event", self._epoch_ns + elapsed_ns, data)
 

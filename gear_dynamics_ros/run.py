@@ -101,7 +101,7 @@ class Run:
         applied = self._encoder.applied(self.engine.commands, self.engine.sample)
         heading = [Record(topic, applied.time_ns, data) for topic, data in received]
         if self._applied is None:
-            heading.insert(0, self._encoder.event(START, self.engine.sample, ""))
+            heading.insert(0, self._encoder.event(START, self.engine.sample, "", self.engine.counters))
         if self._applied != self.engine.commands:
             heading.append(applied)
             self._applied = self.engine.commands
@@ -125,7 +125,7 @@ class Run:
 
     def note(self, kind: str, message: str = "") -> None:
         """Write an event that happens before the next sample."""
-        self.emit([self._encoder.event(kind, self.engine.sample, message)])
+        self.emit([self._encoder.event(kind, self.engine.sample, message, self.engine.counters)])
 
     def emit(self, records: Sequence[Record]) -> None:
         """Write messages that belong to no chunk."""

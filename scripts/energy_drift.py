@@ -115,7 +115,7 @@ def figure(traces: list[Trace], scale: float) -> Figure:
     linear.set_ylabel("drift (%)")
     logarithmic.set_ylabel("magnitude of drift (1)")
     logarithmic.set_xlabel("time (ms)")
-    logarithmic.set_ylim(1e-13, 3.0)
+    logarithmic.set_ylim(1e-16, 3.0)
     logarithmic.set_xlim(0.0, 1e3 * DURATION)
     logarithmic.legend(loc="lower right", ncols=2, frameon=False, fontsize=8.5)
     linear.set_title("Energy of the undamped pair, relative to its largest vibration energy", fontsize=10.5)

@@ -161,8 +161,10 @@ def test_applied_commands_round_trip_and_read_as_a_joint_command() -> None:
 
 
 def test_event_is_json() -> None:
-    record = Encoder(Parameters(), EPOCH_NS).event("reset", 250, "by 'operator'\n\u00e9")
+    counters = Counters(500, 7, 1, 2, 3)
+    record = Encoder(Parameters(), EPOCH_NS).event("reset", 250, "by 'operator'\n\u00e9", counters)
     content = json.loads(deserialize(TOPICS["event"].type, record.data).data)
+    assert content.pop("counters") == counters._asdict()
     assert content == {"sample": 250, "time": 0.0025, "event": "reset", "message": "by 'operator'\n\u00e9"}
     assert record.time_ns == EPOCH_NS + 2_500_000
 

@@ -32,6 +32,7 @@ from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.signals import CHANNEL_NAMES, ENERGIES, IMPACTS, Chunk, Commands, Counters, Status
 
 EPOCH_NS = 1_700_000_000_123_456_789
+COUNTERS = Counters(0, 0, 0, 0, 0)
 ROWS = 200
 FIRST = Commands(30.0, 20.0, 1000.0)
 SECOND = Commands(31.5, 20.0, 1000.0)
@@ -90,12 +91,13 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     recorder.write([encoder.applied(FIRST, 0), *extra_records(encoder)])
     for number in range(60):
         if number == 20:
-            recorder.write([encoder.event("pause", 20 * ROWS, ""), encoder.event("resume", 20 * ROWS, "")])
+            halted = [encoder.event(kind, 20 * ROWS, "", COUNTERS) for kind in ("pause", "resume")]
+            recorder.write(halted)
             recorder.write([encoder.applied(SECOND, 20 * ROWS)])
         if number == 40:
             recorder.split(start_at(40 * ROWS))
         recorder.write(encoder.chunk(make_chunk(number)))
-    recorder.write([encoder.event("end", 60 * ROWS, "as asked")])
+    recorder.write([encoder.event("end", 60 * ROWS, "as asked", COUNTERS)])
     recorder.close()
     assert recorder.error is None
     assert recorder.stats.bytes == sum(part.stat().st_size for part in path.glob("*.mcap"))

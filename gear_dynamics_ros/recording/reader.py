@@ -38,6 +38,7 @@ class Event(NamedTuple):
     time: float  # s, simulated
     kind: str  # reset, pause, resume, end ...
     message: str
+    counters: dict[str, int]  # signals.Counters then; empty in a recording that lacks them
 
 
 class TopicCount(NamedTuple):
@@ -142,7 +143,10 @@ class Recording:
     def events(self) -> list[Event]:
         """Events in their order."""
         contents = (json.loads(message.data) for message in self._latched("event"))
-        return [Event(entry["sample"], entry["time"], entry["event"], entry["message"]) for entry in contents]
+        return [
+            Event(entry["sample"], entry["time"], entry["event"], entry["message"], entry.get("counters", {}))
+            for entry in contents
+        ]
 
     def chunks(
         self, first: int | None = None, end: int | None = None
