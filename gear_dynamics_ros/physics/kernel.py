@@ -826,6 +826,12 @@ def rates_at(point: Record) -> Rates:
     )
 
 
+@hot
+def summed(h: float, first: Any, second: Any, third: Any, fourth: Any) -> Any:
+    """Integral over a step of what the four stages of RK4 gave."""
+    return h / 6.0 * (first + fourth) + h / 3.0 * (second + third)
+
+
 @compiled
 def try_step(
     constants: Record, state: Record, here: Record, end: Record, h: float, reference_speed: float
@@ -864,39 +870,32 @@ def try_step(
     store(end.vx, 0, start.vx + (sixth * (first.ax + fourth.ax) + third * ax))
     store(end.vy, 0, start.vy + (sixth * (first.ay + fourth.ay) + third * ay))
     store(end.omega, 0, start.omega + (sixth * (first.alpha + fourth.alpha) + third * alpha))
-    end.mesh_impulse = here.mesh_impulse + (
-        sixth * (first.force + fourth.force) + third * (second.force + third_rates.force)
+    end.mesh_impulse = here.mesh_impulse + summed(
+        h, first.force, second.force, third_rates.force, fourth.force
     )
-    end.shaft_work = here.shaft_work + (
-        sixth * (first.shaft_power + fourth.shaft_power)
-        + third * (second.shaft_power + third_rates.shaft_power)
+    end.shaft_work = here.shaft_work + summed(
+        h, first.shaft_power, second.shaft_power, third_rates.shaft_power, fourth.shaft_power
     )
-    end.excitation_work = here.excitation_work + (
-        sixth * (first.excitation_power + fourth.excitation_power)
-        + third * (second.excitation_power + third_rates.excitation_power)
+    end.excitation_work = here.excitation_work + summed(
+        h,
+        first.excitation_power,
+        second.excitation_power,
+        third_rates.excitation_power,
+        fourth.excitation_power,
     )
-    end.mesh_loss = here.mesh_loss + (
-        sixth * (first.mesh_loss_rate + fourth.mesh_loss_rate)
-        + third * (second.mesh_loss_rate + third_rates.mesh_loss_rate)
+    end.mesh_loss = here.mesh_loss + summed(
+        h, first.mesh_loss_rate, second.mesh_loss_rate, third_rates.mesh_loss_rate, fourth.mesh_loss_rate
     )
-    store(
-        end.contact_loss,
-        0,
-        load2(here.contact_loss, 0)
-        + (
-            sixth * (first.contact_loss_rate + fourth.contact_loss_rate)
-            + third * (second.contact_loss_rate + third_rates.contact_loss_rate)
-        ),
+    contact_loss = summed(
+        h,
+        first.contact_loss_rate,
+        second.contact_loss_rate,
+        third_rates.contact_loss_rate,
+        fourth.contact_loss_rate,
     )
-    store(
-        end.film_work,
-        0,
-        load2(here.film_work, 0)
-        + (
-            sixth * (first.film_power + fourth.film_power)
-            + third * (second.film_power + third_rates.film_power)
-        ),
-    )
+    store(end.contact_loss, 0, load2(here.contact_loss, 0) + contact_loss)
+    film_work = summed(h, first.film_power, second.film_power, third_rates.film_power, fourth.film_power)
+    store(end.film_work, 0, load2(here.film_work, 0) + film_work)
     end.time = here.time + h
     end.lag = lagging * h * (turned[0] - reference_speed)
     if state.flank != 0.0:
