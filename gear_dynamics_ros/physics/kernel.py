@@ -1113,7 +1113,7 @@ def begin_contact(constants: Record, gear: int, state: Record, here: Record) -> 
 
 @compiled
 def end_contact(gear: int, state: Record, here: Record, impacts: Pointer) -> None:
-    """A bearing contact ends and enters the list: IMPACT_COLUMNS."""
+    """A bearing contact ends and enters the list, a row of IMPACTS."""
     state.contact[gear] = 0.0
     at = IMPACT_SIZE * state.listed
     impacts[at + 0] = state.impact_time[gear]
