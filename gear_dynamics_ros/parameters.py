@@ -98,12 +98,22 @@ def spec(
     return field(default=default, metadata={"specification": row})
 
 
-def _positive(default: float, help: str, *, unit: str, maximum: float) -> Any:
-    return spec(default, help, unit=unit, minimum=0.0, exclusive_minimum=True, maximum=maximum)
+def _positive(default: float, help: str, *, unit: str, maximum: float, runtime: bool = False) -> Any:
+    return spec(
+        default, help, unit=unit, minimum=0.0, exclusive_minimum=True, maximum=maximum, runtime=runtime
+    )
 
 
 def _harmonics(default: float, help: str, *, unit: str = "", limit: float) -> Any:
-    return spec((default,), help, unit=unit, minimum=-limit, maximum=limit, length=(1, MOST_HARMONICS))
+    return spec(
+        (default,),
+        help,
+        unit=unit,
+        minimum=-limit,
+        maximum=limit,
+        length=(1, MOST_HARMONICS),
+        runtime=True,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +144,7 @@ class Gears:
 
 @dataclass(frozen=True, slots=True)
 class Mesh:
-    stiffness: float = _positive(3.0e8, "mean mesh stiffness k_m", unit="N/m", maximum=1e13)
+    stiffness: float = _positive(3.0e8, "mean mesh stiffness k_m", unit="N/m", maximum=1e13, runtime=True)
     stiffness_cos: tuple[float, ...] = _harmonics(
         0.08,
         "cosine part of the stiffness at 1, 2, ... times mesh frequency, relative to the mean",
@@ -143,8 +153,12 @@ class Mesh:
     stiffness_sin: tuple[float, ...] = _harmonics(
         0.0, "sine part of the stiffness, relative to the mean; a missing harmonic is 0", limit=1.0
     )
-    damping_ratio: float = spec(0.1, "damping ratio xi_2 of the mesh", minimum=0.0, maximum=10.0)
-    error_mean: float = spec(0.0, "mean static transmission error e_m", unit="m", minimum=-0.1, maximum=0.1)
+    damping_ratio: float = spec(
+        0.1, "damping ratio xi_2 of the mesh", minimum=0.0, maximum=10.0, runtime=True
+    )
+    error_mean: float = spec(
+        0.0, "mean static transmission error e_m", unit="m", minimum=-0.1, maximum=0.1, runtime=True
+    )
     error_cos: tuple[float, ...] = _harmonics(
         9.2e-6,
         "cosine part of the static transmission error at 1, 2, ... times mesh frequency",
@@ -159,7 +173,12 @@ class Mesh:
 @dataclass(frozen=True, slots=True)
 class ToothSurface:
     roughness: float = spec(
-        0.8e-6, "mean roughness Ra; 0 is a smooth tooth", unit="m", minimum=0.0, maximum=1e-2
+        0.8e-6,
+        "mean roughness Ra; 0 is a smooth tooth",
+        unit="m",
+        minimum=0.0,
+        maximum=1e-2,
+        runtime=True,
     )
     fractal_dimension: float = spec(
         1.1,
@@ -202,12 +221,17 @@ class Bearing:
     length: float = _positive(13.0e-3, "length L", unit="m", maximum=10.0)
     diameter: float = _positive(50.0e-3, "diameter D", unit="m", maximum=10.0)
     oil_clearance: float = _positive(150.0e-6, "radial clearance C of the oil film", unit="m", maximum=0.1)
-    restitution: float = spec(0.2, "coefficient of restitution eta", minimum=0.05, maximum=1.0)
+    restitution: float = spec(0.2, "coefficient of restitution eta", minimum=0.05, maximum=1.0, runtime=True)
     kelvin_stiffness: float = _positive(
-        1.0e8, "contact stiffness k_b of the traditional model", unit="N/m", maximum=1e13
+        1.0e8, "contact stiffness k_b of the traditional model", unit="N/m", maximum=1e13, runtime=True
     )
     kelvin_damping: float = spec(
-        2000.0, "contact damping c_b of the traditional model", unit="N s/m", minimum=0.0, maximum=1e9
+        2000.0,
+        "contact damping c_b of the traditional model",
+        unit="N s/m",
+        minimum=0.0,
+        maximum=1e9,
+        runtime=True,
     )
 
 
@@ -216,7 +240,11 @@ class Bearings:
     shaft: Material = field(default_factory=Material)
     sleeve: Material = field(default_factory=Material)
     minimum_impact_speed: float = _positive(
-        1.0e-3, "least impact speed v_min that enters the contact law", unit="m/s", maximum=100.0
+        1.0e-3,
+        "least impact speed v_min that enters the contact law",
+        unit="m/s",
+        maximum=100.0,
+        runtime=True,
     )
     driving: Bearing = field(default_factory=Bearing)
     driven: Bearing = field(default_factory=Bearing)
@@ -224,17 +252,27 @@ class Bearings:
 
 @dataclass(frozen=True, slots=True)
 class Oil:
-    viscosity: float = spec(2.28e-2, "dynamic viscosity mu", unit="Pa s", minimum=0.0, maximum=1e3)
+    viscosity: float = spec(
+        2.28e-2, "dynamic viscosity mu", unit="Pa s", minimum=0.0, maximum=1e3, runtime=True
+    )
     eccentricity_limit: float = spec(
-        0.98, "relative eccentricity past which the film force is held", minimum=0.1, maximum=0.999
+        0.98,
+        "relative eccentricity past which the film force is held",
+        minimum=0.1,
+        maximum=0.999,
+        runtime=True,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class Governor:
-    proportional: float = spec(0.5, "proportional gain", unit="N m s/rad", minimum=0.0, maximum=1e6)
-    integral: float = spec(5.0, "integral gain", unit="N m/rad", minimum=0.0, maximum=1e9)
-    torque_limit: float = _positive(200.0, "largest drive torque, either way", unit="N m", maximum=1e6)
+    proportional: float = spec(
+        0.5, "proportional gain", unit="N m s/rad", minimum=0.0, maximum=1e6, runtime=True
+    )
+    integral: float = spec(5.0, "integral gain", unit="N m/rad", minimum=0.0, maximum=1e9, runtime=True)
+    torque_limit: float = _positive(
+        200.0, "largest drive torque, either way", unit="N m", maximum=1e6, runtime=True
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,6 +281,7 @@ class Operation:
         "speed",
         "what sets the drive torque: the torque command, or a PI governor of the speed",
         choices=("torque", "speed"),
+        runtime=True,
     )
     speed: float = spec(
         1623.156,
@@ -250,20 +289,36 @@ class Operation:
         unit="rad/s",
         minimum=-1e6,
         maximum=1e6,
+        runtime=True,
     )
-    drive_torque: float = spec(30.0, "torque T_M on the driving shaft", unit="N m", minimum=-1e6, maximum=1e6)
+    drive_torque: float = spec(
+        30.0, "torque T_M on the driving shaft", unit="N m", minimum=-1e6, maximum=1e6, runtime=True
+    )
     load_torque: float = spec(
-        30.0, "torque T_L on the driven shaft, positive resists", unit="N m", minimum=-1e6, maximum=1e6
+        30.0,
+        "torque T_L on the driven shaft, positive resists",
+        unit="N m",
+        minimum=-1e6,
+        maximum=1e6,
+        runtime=True,
     )
     load_law: str = spec(
         "constant",
         "constant: load_torque as it is; brake: against the motion, load_torque tanh(omega_2 / 1 rad/s)",
         choices=("constant", "brake"),
+        runtime=True,
     )
     load_viscous: float = spec(
-        0.0, "viscous load on the driven shaft", unit="N m s/rad", minimum=0.0, maximum=1e6
+        0.0,
+        "viscous load on the driven shaft",
+        unit="N m s/rad",
+        minimum=0.0,
+        maximum=1e6,
+        runtime=True,
     )
-    speed_limit: float = _positive(5000.0, "speed that trips the run", unit="rad/s", maximum=1e6)
+    speed_limit: float = _positive(
+        5000.0, "speed that trips the run", unit="rad/s", maximum=1e6, runtime=True
+    )
     governor: Governor = field(default_factory=Governor)
     command_timeout: float = spec(
         0.0,
@@ -271,9 +326,13 @@ class Operation:
         unit="s",
         minimum=0.0,
         maximum=1e9,
+        runtime=True,
     )
     on_timeout: str = spec(
-        "hold", "hold: keep the last commands; release: both torques to 0", choices=("hold", "release")
+        "hold",
+        "hold: keep the last commands; release: both torques to 0",
+        choices=("hold", "release"),
+        runtime=True,
     )
     initial: str = spec(
         "touching",
@@ -328,6 +387,35 @@ class Pacing:
     duration: float = spec(
         0.0, "simulated time after which the run ends; 0 is until stopped", unit="s", minimum=0.0, maximum=1e9
     )
+    on_overrun: str = spec(
+        "slip",
+        "when a chunk is late: slip: time lost stays lost; catch_up: the next chunks hurry; error: the run ends",
+        choices=("slip", "catch_up", "error"),
+        runtime=True,
+    )
+    catch_up_limit: float = spec(
+        0.1,
+        "largest lateness that catch_up makes good; what exceeds it slips",
+        unit="s",
+        minimum=0.0,
+        maximum=3600.0,
+        runtime=True,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Stepping:
+    chunks: int = spec(
+        1, "chunks that one call of ~/step makes while paused", minimum=1, maximum=1_000_000, runtime=True
+    )
+    timeout: float = _positive(
+        10.0, "wall time after which a call of ~/step gives up", unit="s", maximum=3600.0, runtime=True
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Checkpoint:
+    path: str = spec("", "file that ~/save_checkpoint writes and ~/restore_checkpoint reads; empty is none")
 
 
 @dataclass(frozen=True, slots=True)
@@ -383,6 +471,8 @@ class Parameters:
     operation: Operation = field(default_factory=Operation)
     solver: Solver = field(default_factory=Solver)
     pacing: Pacing = field(default_factory=Pacing)
+    stepping: Stepping = field(default_factory=Stepping)
+    checkpoint: Checkpoint = field(default_factory=Checkpoint)
     recording: Recording = field(default_factory=Recording)
     rerun: Rerun = field(default_factory=Rerun)
     autostart: bool = spec(True, "configure and activate the node by itself")
@@ -423,6 +513,23 @@ class Parameters:
 def specifications() -> Mapping[str, Specification]:
     """The table of parameters by dotted name, in tree order."""
     return dict(_rows(Parameters, ""))
+
+
+def differences(old: Parameters, new: Parameters) -> dict[str, Value]:
+    """Values of ``new`` that are not those of ``old``, by dotted name."""
+    before = old.to_flat()
+    return {name: value for name, value in new.to_flat().items() if value != before[name]}
+
+
+def require_changeable(old: Parameters, new: Parameters) -> None:
+    """Raise UsageError where ``new`` differs from ``old`` in what is fixed while the gearbox runs."""
+    before = old.to_flat()
+    for name, value in differences(old, new).items():
+        if not specifications()[name].runtime:
+            raise UsageError(
+                f"{name} = {_text(before[name])} is fixed while the gearbox runs: "
+                f"start it anew with {name} = {_text(value)}"
+            )
 
 
 def load(path: str | Path, overrides: Iterable[str] = ()) -> Parameters:

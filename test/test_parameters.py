@@ -21,9 +21,11 @@ from gear_dynamics_ros.parameters import (
     Gears,
     Parameters,
     Specification,
+    differences,
     dump,
     load,
     reference,
+    require_changeable,
     specifications,
 )
 from gear_dynamics_ros.ros_yaml import SMALLEST_NORMAL, parse_yaml, resolve, scalar_text
@@ -131,7 +133,25 @@ def test_every_leaf_is_described_and_every_number_is_bounded() -> None:
             assert row.minimum is not None and row.maximum is not None
             assert math.isfinite(row.minimum) and math.isfinite(row.maximum)
         assert (row.length is not None) == (row.type is tuple)
-    assert [name for name, row in rows.items() if row.runtime] == ["pacing.real_time_factor"]
+
+
+def test_what_fixes_the_grid_of_samples_the_geometry_or_a_file_is_fixed_while_it_runs() -> None:
+    fixed = {name for name, row in specifications().items() if not row.runtime}
+    groups = ("gears.", "solver.", "recording.", "rerun.", "checkpoint.")
+    assert {name for name in specifications() if name.startswith(groups)} <= fixed
+    assert {"model", "joint_prefix", "waveform_channels", "autostart"} <= fixed
+    assert {"oil.viscosity", "mesh.stiffness", "operation.control", "pacing.real_time_factor"}.isdisjoint(
+        fixed
+    )
+
+
+def test_a_change_of_what_is_fixed_names_the_parameter_and_both_values() -> None:
+    old = Parameters()
+    thicker = Parameters.from_flat({"oil.viscosity": 0.05})
+    assert differences(old, thicker) == {"oil.viscosity": 0.05}
+    require_changeable(old, thicker)
+    with pytest.raises(UsageError, match=r"^model = improved is fixed .* model = compared$"):
+        require_changeable(old, Parameters.from_flat({"oil.viscosity": 0.05, "model": "compared"}))
 
 
 def numbers() -> list[Specification]:
