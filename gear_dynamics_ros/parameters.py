@@ -389,7 +389,7 @@ class Pacing:
     )
     on_overrun: str = spec(
         "slip",
-        "when a chunk is late: slip: time lost stays lost; catch_up: the next chunks hurry; error: the run ends",
+        "of a late chunk: slip: what is lost stays lost; catch_up: later ones hurry; error: the run ends",
         choices=("slip", "catch_up", "error"),
         runtime=True,
     )
