@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from gear_dynamics_ros.harness.player import Player
 from gear_dynamics_ros.harness.profile import Profile, load_profile
 from gear_dynamics_ros.harness.profile import parse_profile as parse_profile_in
 from gear_dynamics_ros.harness.results import format_results
+from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.signals import CHANNEL_NAMES
 
 PROFILES = sorted((Path(__file__).parents[1] / "config" / "profiles").glob("*.yaml"))
@@ -271,6 +273,17 @@ def test_text_that_is_no_profile_is_refused_in_one_line(tmp_path: Path, text: st
 def test_shipped_profiles_are_sound(path: Path) -> None:
     profile = load_profile(path)
     assert profile.expectations
+    Player(profile, CHANNEL_NAMES)
+
+
+def test_the_documented_profile_is_sound(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[1] / "docs" / "drive.md").read_text()
+    (example,) = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
+    (tmp_path / "profile.yaml").write_text(example)
+    (tmp_path / "load.csv").write_text("time,torque\n0.0,30.0\n2.5,50.0\n")
+    profile = load_profile(tmp_path / "profile.yaml")
+    assert profile.commands["load_torque"].value(3.5) == 50.0
+    assert profile.parameters.keys() <= Parameters().to_flat().keys()
     Player(profile, CHANNEL_NAMES)
 
 
