@@ -217,7 +217,9 @@ def warm_up(parameters: Parameters, say: Callable[[str], object]) -> None:
     began = time.perf_counter()
     notice.start()
     try:
-        Engine(parameters).advance(1)
+        engine = Engine(parameters)
+        engine.advance(1)
+        engine.change(parameters)
     finally:
         notice.cancel()
     elapsed = time.perf_counter() - began

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -256,11 +256,16 @@ class Encoder:
         )
         return Record("applied_command", time_ns, serialize(JOINT_STATE, message))
 
-    def event(self, kind: str, sample: int, message: str, counters: Counters) -> Record:
-        """An event (reset, pause, resume, end ...) that happened before ``sample`` was made."""
+    def event(
+        self, kind: str, sample: int, message: str, counters: Counters, **details: Mapping[str, Any]
+    ) -> Record:
+        """An event (reset, pause, resume, end ...) that happened before ``sample`` was made.
+
+        ``details`` are entries of its own, such as the parameters that changed.
+        """
         elapsed_ns = sample * self._interval_ns
         content = {"sample": sample, "time": elapsed_ns / 1e9, "event": kind, "message": message}
-        text = json.dumps(content | {"counters": counters._asdict()})
+        text = json.dumps(content | {"counters": counters._asdict()} | details)
         data = serialize(STRING, message_class(STRING)(data=text))
         return Record("event", self._epoch_ns + elapsed_ns, data)
 

@@ -54,7 +54,11 @@ CHANNELS: tuple[Channel, ...] = (
 # On request, after the others: works and losses since the start or the last reset, and what is stored now.
 ENERGIES: tuple[Channel, ...] = (
     Channel("shaft_work", "J", "work of the drive torque less that of the load torque"),
-    Channel("excitation_work", "J", "work of stiffness, static error and surfaces moving with the phase"),
+    Channel(
+        "excitation_work",
+        "J",
+        "work of stiffness, static error and surfaces moving with the phase, or changed by a parameter",
+    ),
     Channel("mesh_loss", "J", "dissipated by the teeth's damping"),
     Channel("driving_contact_loss", "J", "dissipated by the bearing contact"),
     Channel("driven_contact_loss", "J", "dissipated by the bearing contact"),
