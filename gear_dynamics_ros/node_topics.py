@@ -65,10 +65,16 @@ def create_subscriptions(node: Node, take: Callable[[str, Any, bytes], None]) ->
             topic.name,
             lambda data: take(key, deserialize(topic.type, cast(bytes, data)), cast(bytes, data)),
             quality(topic),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             raw=True,
         )
 
     return [subscribe(key) for key in COMMANDS]
+
+
+def command_names(node: Node) -> list[str]:
+    """Names of the command topics, remapping considered."""
+    return [node.resolve_topic_name(TOPICS[key].name) for key in COMMANDS]
 
 
 def quality(topic: Topic) -> QoSProfile:
