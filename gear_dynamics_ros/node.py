@@ -166,7 +166,6 @@ class GearboxNode(LifecycleNode):
         self._recordings = Recordings(
             self.parameters.recording.path,
             run,
-            self.parameters,
             self._epoch_ns,
             self.get_fully_qualified_name(),
         )
