@@ -67,7 +67,7 @@ class Recordings:
         """Go on in a new file. Raises GearboxError if nothing is recorded."""
         if self._sink is None:
             raise GearboxError("nothing is recorded: call ~/record first")
-        self._sink.recorder.split(self._run.checkpoint())
+        self._sink.recorder.split(self._run.checkpoint(), self._run.engine.parameters)
 
     def end(self) -> Recorder | None:
         """Record no more; the caller closes what is returned."""

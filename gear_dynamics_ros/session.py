@@ -143,7 +143,7 @@ class Session:
         """Go on from the state in ``checkpoint.path``."""
         path = self._checkpoint_path()
         saved = checkpoints.load(path)
-        parameters = checkpoints.parameters_to_go_on(saved, self.parameters)
+        parameters = checkpoints.continued(saved, self.parameters)
 
         def restore() -> None:
             self.live.change(parameters)

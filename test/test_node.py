@@ -221,7 +221,7 @@ def test_what_cannot_be_is_refused_and_counted(client, node):
 
 def test_diagnostics_tell_every_task(client):
     found = client.statuses()
-    tasks = "run pacing commands contacts condition step waveform recorder viewer".split()
+    tasks = ["run", "pacing", "commands", "contacts", "condition", "step", "waveform", "recorder", "viewer"]
     assert [name.removeprefix("gearbox: ") for name in found] == list(tasks)
     assert found["gearbox: recorder"].level == DiagnosticStatus.OK
     assert {status.hardware_id for status in found.values()} == {"/gearbox"}
