@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.exceptions import ParameterException
@@ -122,15 +123,18 @@ class GearboxNode(LifecycleNode):
         self._engine = Engine(self.parameters)
         self._mailbox = Mailbox(self.parameters, time.monotonic_ns())
         self._viewer = open_viewer(self.parameters)
+        # A group is never rid of the entities it had: one that outlived them would grow with each configure.
+        group = MutuallyExclusiveCallbackGroup()
         try:
-            publishers = node_topics.create_publishers(self, clock=self.parameters.clock_rate > 0.0)
-            subscriptions = node_topics.create_subscriptions(self, self._take_command)
+            publishers = node_topics.create_publishers(self, group, clock=self.parameters.clock_rate > 0.0)
+            subscriptions = node_topics.create_subscriptions(self, group, self._take_command)
         except (InvalidQosOverridesError, ParameterException, RuntimeError) as error:
             raise UsageError(f"qos_overrides: {error}") from error
         self._publishers_by_key = publishers
         self._own(self.destroy_publisher, publishers.values())
         self._own(self.destroy_subscription, subscriptions)
-        self._own(self.destroy_timer, [self.create_timer(1.0, self._report, clock=self._steady)])
+        timer = self.create_timer(1.0, self._report, callback_group=group, clock=self._steady)
+        self._own(self.destroy_timer, [timer])
 
     def _activate(self) -> None:
         if self._session is None:

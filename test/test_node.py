@@ -7,6 +7,7 @@ import math
 import signal
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -579,5 +580,32 @@ def test_activation_that_fails_can_be_tried_again(ros_domain, process, tmp_path)
         path.rmdir()
         assert change(Transition.TRANSITION_ACTIVATE)
         client.hear("waveform")
+    finally:
+        client.close()
+
+
+def test_transitions_repeated_leave_nothing_behind(ros_domain, process):
+    node = gearbox(process, "autostart:=false", "pacing.real_time_factor:=0.2")
+    client = Client()
+    switch = client.node.create_client(ChangeState, "/gearbox/change_state")
+    cycle = (
+        Transition.TRANSITION_CONFIGURE,
+        Transition.TRANSITION_ACTIVATE,
+        Transition.TRANSITION_DEACTIVATE,
+        Transition.TRANSITION_ACTIVATE,
+        Transition.TRANSITION_DEACTIVATE,
+        Transition.TRANSITION_CLEANUP,
+    )
+
+    def cycles(count):
+        for transition in cycle * count:
+            answer = switch.call_async(ChangeState.Request(transition=Transition(id=transition)))
+            client.until(answer.done)
+            assert answer.result().success
+        return {what: len(list(Path(f"/proc/{node.pid}/{what}").iterdir())) for what in ("fd", "task")}
+
+    try:
+        assert switch.wait_for_service(PATIENCE)
+        assert cycles(5) == cycles(40)
     finally:
         client.close()
