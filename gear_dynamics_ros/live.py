@@ -18,6 +18,7 @@ from gear_dynamics_ros.pacing import Pace, Pacer
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.run import PAUSE, RESUME, Run
 from gear_dynamics_ros.signals import Chunk, Counters
+from gear_dynamics_ros.threads import name_thread
 
 PATIENCE = 2.0  # s of silence while the kernel compiles
 T = TypeVar("T")
@@ -158,6 +159,7 @@ class Live:
             self._wake.notify_all()
 
     def _work(self) -> None:
+        name_thread()
         while self._wait():
             try:
                 self._step()
