@@ -19,6 +19,7 @@ from gear_dynamics_ros.pacing import Pace, Pacer
 from gear_dynamics_ros.parameters import Operation, Parameters
 from gear_dynamics_ros.run import PAUSE, RESUME, Run
 from gear_dynamics_ros.signals import Chunk, Counters
+from gear_dynamics_ros.threads import name_thread
 
 PATIENCE = 2.0  # s of silence while the kernel compiles
 T = TypeVar("T")
@@ -215,6 +216,7 @@ class Live:
             self._wake.notify_all()
 
     def _work(self) -> None:
+        name_thread()
         going = True
         while going:
             try:
