@@ -1,4 +1,4 @@
-"""Names of threads where the system shows them."""
+"""What the system knows of threads: their names, and how punctually it wakes them."""
 
 from __future__ import annotations
 
@@ -12,3 +12,12 @@ def name_thread() -> None:
     thread = threading.current_thread()
     with contextlib.suppress(OSError):
         Path(f"/proc/self/task/{thread.native_id}/comm").write_text(thread.name[:15], encoding="utf-8")
+
+
+def wake_punctually() -> None:
+    """Let timed waits of this thread, and of those it starts from now on, end when they should, on Linux.
+
+    The system otherwise adds up to 50 us to each, to wake the processor less often.
+    """
+    with contextlib.suppress(OSError):
+        Path(f"/proc/{threading.get_native_id()}/timerslack_ns").write_text("1", encoding="utf-8")
