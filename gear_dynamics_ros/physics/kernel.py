@@ -81,6 +81,8 @@ GAP_TOLERANCE = 1e-8
 CLAMP_TOLERANCE = 1e-6
 SEARCH_LIMIT = 30
 STOPS_PER_STEP = 24
+# Each stop, and what is settled late after the last, may end the contacts of both bearings.
+IMPACTS_PER_STEP = 2 * (STOPS_PER_STEP + 1)
 # Of the step: the shortest substep that the beginning or end of a bearing contact asks for.
 GAP_FRACTION = 0.1
 # The largest product of substep and damping rate of a bearing contact; RK4 itself bears 2.78.
@@ -1428,22 +1430,30 @@ def elastic_energy(constants: Record, state: Record, here: Record, gear: int) ->
 
 
 @compiled
+def stored_energy(constants: Record, state: Record, here: Record) -> float:
+    """Energy in the springs of teeth and bearing contacts, N m."""
+    total: float = here.mesh_energy
+    for gear in range(2):
+        total += elastic_energy(constants, state, here, gear)
+    return total
+
+
+@compiled
 def write_energies(
     constants: Record, state: Record, here: Record, rows: Floats, row: int, first: int
 ) -> None:
     """ENERGIES into ``row``, from column ``first`` on."""
-    kinetic, elastic = 0.0, here.mesh_energy
+    kinetic = 0.0
     for gear in range(2):
         kinetic += 0.5 * (here.vx[gear] ** 2 + here.vy[gear] ** 2) / constants.per_mass[gear]
         kinetic += 0.5 * here.omega[gear] ** 2 / constants.per_inertia[gear]
-        elastic += elastic_energy(constants, state, here, gear)
         rows[row, first + 3 + gear] = here.contact_loss[gear]
         rows[row, first + 5 + gear] = here.film_work[gear]
     rows[row, first] = here.shaft_work
     rows[row, first + 1] = here.excitation_work
     rows[row, first + 2] = here.mesh_loss
     rows[row, first + 7] = kinetic
-    rows[row, first + 8] = elastic
+    rows[row, first + 8] = stored_energy(constants, state, here)
 
 
 @compiled
@@ -1550,6 +1560,50 @@ def look(
     open_point(constants[0], state[0], here, pointer(waves), pointer(amplitudes))
 
 
+@compiled
+def look_before(
+    constants: NDArray[Any], state: NDArray[Any], points: NDArray[Any], waves: Floats, amplitudes: Floats
+) -> float:
+    """``look`` at what is about to change under the same motion; returns the stored energy, N m."""
+    look(constants, state, points, waves, amplitudes)
+    return float(stored_energy(constants[0], state[0], points[HERE]))
+
+
+@compiled
+def adapt(
+    constants: NDArray[Any],
+    state: NDArray[Any],
+    points: NDArray[Any],
+    waves: Floats,
+    amplitudes: Floats,
+    impact_rows: Floats,
+    stored_before: float,
+) -> None:
+    """Bring the flags into line with a change of constants or excitations, after ``look_before``.
+
+    What the change brought past its surface is flipped and counted; the gaps of the bearings it can't move.
+    What the springs gain by it, the excitations have put in.
+    """
+    here, before = points[HERE], points[LOW]
+    copy(here, before)
+    look(constants, state, points, waves, amplitudes)
+    flipped = 0
+    for _ in range(EVENT_COUNT):
+        following = -1
+        for event in range(EVENT_COUNT):
+            value = here.value[event]
+            # One that rounding left short of its surface, on its way there, is not the change's doing.
+            if value < 0.0 and value < before.value[event] and not (flipped >> event) & 1:
+                following = event
+                break
+        if following < 0:
+            break
+        flip(constants[0], following, state[0], here, pointer(impact_rows))
+        flipped |= 1 << following
+        reevaluate(constants[0], state[0], here)
+    state[0].excitation_work += stored_energy(constants[0], state[0], here) - stored_before
+
+
 @njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
 def run(
     all_constants: NDArray[Any],
@@ -1568,7 +1622,7 @@ def run(
 
     ``samples`` of 37 columns take ENERGIES too; ``energies`` (1, 9) takes them at the end. ``impact_rows``
     take the bearing contacts that end, ``state.listed`` of them; the run halts early where they might not
-    suffice for another sample with STOPS_PER_STEP a step. Changes the state in place;
+    suffice for another sample with IMPACTS_PER_STEP. Changes the state in place;
     returns (rows written, status). On OVER_SPEED and CENTRES_PRESSED the last row is the state that broke the
     limit; a NON_FINITE state is not written.
     """
@@ -1579,7 +1633,7 @@ def run(
     n = samples.shape[0]
     limit, step = constants.speed_limit, constants.step
     interval = step * constants.steps_per_sample
-    most_impacts = STOPS_PER_STEP * constants.steps_per_sample
+    most_impacts = IMPACTS_PER_STEP * constants.steps_per_sample
     written, status = n, RUNNING
     copy_motion(state, here)
     state.listed = 0
