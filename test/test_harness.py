@@ -196,8 +196,8 @@ def test_bad_expectations_are_refused_by_name(change: dict[str, Any], said: str)
         ({"settling": "dte", "tolerance": 0.1, "within": 0.1}, "expectations[0] has no target"),
         ({"settling": "dte", "target": 0.0, "tolerance": 0.1}, "expectations[0] has no within"),
         (
-            {"settling": "dte", "target": 0.0, "tolerance": 0.1, "within": 1.5},
-            "expectations[0].within is 1.5 s, longer than the window (1 s)",
+            {"settling": "dte", "target": 0.0, "tolerance": 0.1, "from": 0.5, "within": 0.75},
+            "expectations[0].within is 0.75 s, longer than the window (0.5 s)",
         ),
         ({"monotone": "dte"}, "expectations[0] has no direction: give one of rising, falling"),
         ({"monotone": "dte", "direction": "up"}, "expectations[0].direction is 'up', must be one of rising"),
