@@ -414,15 +414,20 @@ def test_a_frequency_that_a_chunk_cannot_carry_is_refused() -> None:
         Player(profile, CHANNELS).feed(waveform(0, 100))
 
 
+def due(player: Player, chunk: NDArray[np.float64]) -> dict[str, float]:
+    player.feed(chunk)
+    return player.commands()
+
+
 def test_commands_are_due_at_the_end_of_the_chunk_before_them() -> None:
     profile = command(
         {"at": 0.0, "value": 1.0}, {"at": 0.002, "value": 2.0}, {"from": 0.002001, "to": 0.01, "value": 3}
     )
     player = Player(profile, CHANNELS)
-    assert player.feed(waveform(300, 100)) == {"speed": 1.0}
-    assert player.feed(waveform(400, 100)) == {"speed": 1.0}
-    assert player.feed(waveform(500, 100)) == {"speed": 2.0}
-    assert 2.0 < player.feed(waveform(600, 100))["speed"] < 3.0
+    assert due(player, waveform(300, 100)) == {"speed": 1.0}
+    assert due(player, waveform(400, 100)) == {"speed": 1.0}
+    assert due(player, waveform(500, 100)) == {"speed": 2.0}
+    assert 2.0 < due(player, waveform(600, 100))["speed"] < 3.0
 
 
 def test_table_is_aligned_and_names_failures() -> None:

@@ -86,8 +86,8 @@ class Player:
         """True once the whole profile has gone by."""
         return self._interval_ns > 0 and self.time_ns >= round(self.profile.duration * 1e9)
 
-    def feed(self, samples: NDArray[np.float64]) -> dict[str, float]:
-        """Take the next chunk, shape (n, channels); return the value of every command that is set by now.
+    def feed(self, samples: NDArray[np.float64]) -> None:
+        """Take the next chunk, shape (n, channels).
 
         Raises GearboxError where simulated time runs backwards or the chunk can't carry the profile.
         """
@@ -96,7 +96,6 @@ class Player:
             self._begin(times)
         else:
             self._take(times, samples)
-        return self.commands()
 
     def commands(self) -> dict[str, float]:
         """The value of every command that is set by now."""
