@@ -46,19 +46,19 @@ class Saved(NamedTuple):
     kernel_hash: str
 
 
-def save(path: Path, engine: Engine) -> None:
-    """Write the state of ``engine`` to ``path``; an earlier file there is replaced in one moment or stays.
-
-    Raises GearboxError if the run has ended, so that nothing can go on from here, or if it can't be written.
-    """
+def take(engine: Engine) -> Saved:
+    """The state of this moment. Raises GearboxError if the run has ended: nothing could go on from it."""
     if engine.status is not Status.RUNNING:
-        raise GearboxError(f"checkpoint '{path}' is not written: the run has ended; reset it first")
-    content = {
-        "version": __version__,
-        "kernel_hash": kernel_hash(),
-        "parameters": engine.parameters.to_flat(),
-        "checkpoint": engine.checkpoint(),
-    }
+        raise GearboxError("no checkpoint can be taken: the run has ended; reset it first")
+    return Saved(engine.parameters, engine.checkpoint(), __version__, kernel_hash())
+
+
+def save(path: Path, saved: Saved) -> None:
+    """Write ``saved`` to ``path``; an earlier file there is replaced in one moment or stays.
+
+    Raises GearboxError if it can't be written.
+    """
+    content = saved._asdict() | {"parameters": saved.parameters.to_flat()}
     try:
         _replace(path, json.dumps(content, indent=1))
     except OSError as error:

@@ -30,7 +30,7 @@ class Recordings:
     """Starts and ends recordings of ``run``; the first at ``path``, later ones beside it."""
 
     def __init__(self, path: str, run: Run, epoch_ns: int, node: str) -> None:
-        self._path = Path(path) if path else None
+        self._path = Path(path).absolute() if path else None
         self._run = run
         self._epoch_ns = epoch_ns
         self._node = node

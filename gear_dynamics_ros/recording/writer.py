@@ -23,6 +23,7 @@ from gear_dynamics_ros.parameters import Parameters, dump
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.layout import Part, RunMetadata
 from gear_dynamics_ros.recording.mcap_writer import McapWriter
+from gear_dynamics_ros.threads import name_thread
 
 # Three seconds of every channel at 100 kHz: longer than a disk usually pauses.
 QUEUE_BYTES: Final = 64 << 20
@@ -146,6 +147,7 @@ class Recorder:
         return self._closing or self._error is not None
 
     def _work(self) -> None:
+        name_thread()
         try:
             self._write_all()
             self._parts.append(self._part.finish())
