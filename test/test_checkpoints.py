@@ -32,7 +32,7 @@ def file(tmp_path: Path) -> Path:
     engine.command(Commands(3.0, 4.0, 1500.0))
     engine.advance(150)
     path = tmp_path / "state.json"
-    checkpoints.save(path, engine)
+    checkpoints.save(path, checkpoints.take(engine))
     return path
 
 
@@ -44,7 +44,7 @@ def test_a_fresh_engine_goes_on_bit_for_bit(
     engine = Engine(Parameters.from_flat({"model": model, **LIGHT}))
     engine.advance(sample)
     engine.change(updated(engine.parameters, {"mesh.stiffness": stiffness}))
-    checkpoints.save(tmp_path / "state.json", engine)
+    checkpoints.save(tmp_path / "state.json", checkpoints.take(engine))
     expected = engine.advance(500)
 
     saved = checkpoints.load(tmp_path / "state.json")
@@ -61,7 +61,7 @@ def test_a_fresh_engine_goes_on_bit_for_bit(
 def test_a_later_one_replaces_an_earlier_one_and_leaves_nothing_beside_it(file: Path) -> None:
     engine = Engine(Parameters())
     engine.advance(7)
-    checkpoints.save(file, engine)
+    checkpoints.save(file, checkpoints.take(engine))
     assert checkpoints.load(file).checkpoint["sample"] == 7
     assert list(file.parent.iterdir()) == [file]
 
@@ -70,7 +70,7 @@ def test_a_place_that_cannot_be_written_is_named_and_kept_as_it_is(tmp_path: Pat
     engine = Engine(Parameters())
     for path in (tmp_path / "missing" / "state.json", tmp_path, Path()):
         with pytest.raises(GearboxError, match=r"can't be written: .*choose another path"):
-            checkpoints.save(path, engine)
+            checkpoints.save(path, checkpoints.take(engine))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -80,20 +80,19 @@ def test_a_disk_that_fills_up_leaves_the_earlier_one(file: Path) -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
     try:
         with pytest.raises(GearboxError, match="can't be written: File too large"):
-            checkpoints.save(file, engine)
+            checkpoints.save(file, checkpoints.take(engine))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert file.read_bytes() == before
     assert list(file.parent.iterdir()) == [file]
 
 
-def test_an_ended_run_is_not_saved(tmp_path: Path) -> None:
+def test_an_ended_run_is_not_saved() -> None:
     engine = Engine(Parameters.from_flat({"operation.speed_limit": 1623.2}))
     while not engine.status:
         engine.advance()
     with pytest.raises(GearboxError, match="the run has ended"):
-        checkpoints.save(tmp_path / "state.json", engine)
-    assert list(tmp_path.iterdir()) == []
+        checkpoints.take(engine)
 
 
 @pytest.mark.parametrize(
