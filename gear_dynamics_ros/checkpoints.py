@@ -131,8 +131,9 @@ def decides_physics(name: str) -> bool:
 
 
 def _replace(path: Path, text: str) -> None:
-    draft = path.parent / f".{path.name}.{os.getpid()}.part"
+    draft = path.parent / f".{path.name}.part"
     try:
+        draft.unlink(missing_ok=True)
         with draft.open("x", encoding="utf-8") as stream:
             stream.write(text)
             stream.flush()

@@ -137,7 +137,7 @@ TOPICS: Final[dict[str, Topic]] = {
         True,
         10,
         True,
-        "JSON: sample, time (s), event, message, counters (steps, located events, capped searches ...)",
+        "JSON: sample, time (s), event, message, counters; parameters that changed, a restored checkpoint",
     ),
 }
 
