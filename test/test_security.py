@@ -19,6 +19,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from gear_dynamics_ros.discovery import DECIDING, PROFILES, RANGE, stay_local
 from gear_dynamics_ros.messages import TOPICS, resolve
+from gear_dynamics_ros.parameters import specifications
 
 SOURCE = Path(__file__).resolve().parent.parent
 PATIENCE = 120.0
@@ -172,6 +173,12 @@ def test_who_asks_for_more_is_left_alone(environment, name, value):
     before = dict(os.environ)
     stay_local()
     assert dict(os.environ) == before
+
+
+def test_what_may_change_while_the_gearbox_runs_cannot_name_a_path():
+    changeable = [row for row in specifications().values() if row.runtime]
+    assert changeable
+    assert not [row.name for row in changeable if row.element is str and not row.choices]
 
 
 def policy_profile(node):
