@@ -18,6 +18,7 @@ from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64, Float64MultiArray, String
 
+from gear_dynamics_ros.discovery import stay_local
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.harness import Player, Profile, Result
 from gear_dynamics_ros.messages import TOPICS, resolve, waveform_samples
@@ -61,6 +62,7 @@ def play(
 def _session(
     profile: Profile, node: str, watch: Callable[[Player], None], ros_arguments: Sequence[str]
 ) -> Iterator[_Session]:
+    stay_local()
     context = Context()
     try:
         rclpy.init(args=list(ros_arguments), context=context, signal_handler_options=SignalHandlerOptions.NO)
