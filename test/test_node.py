@@ -514,6 +514,7 @@ def test_duration_ends_the_node_with_a_complete_recording(ros_domain, process, t
         ("oil.viscosity:=.nan", ["oil.viscosity", "nan"]),
         ("operation.speed:=6000.0", ["operation.speed", "6000", "speed_limit"]),
         ("recording.path:=/", ["recording.path", "exists"]),
+        ("checkpoint.path:=/nowhere/state.json", ["checkpoint.path", "/nowhere", "does not exist"]),
         ("mesh.error_cos:=[]", ["array"]),
     ],
 )
