@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import general_solvers
+import latency
 import numpy as np
 import plain_c
 import speed
@@ -92,6 +93,19 @@ def sections() -> list[Section]:
             "Recording",
             "By the clock on the wall, the files finished.",
             lambda: speed.recording(tuple(REAL_TIME_AIMED_AT)),
+        ),
+        Section(
+            "Latency",
+            "The node in a process of its own with gearbox.yaml at real-time factor 1, this one listening to "
+            "its waveform. From publishing a load torque, at any phase of a chunk, to having the first "
+            "`joint_states` that shows it; the goal is chunk, computing (the engine alone) and "
+            f"{1e3 * latency.ALLOWANCE:g} ms. Period: between two `joint_states`.",
+            latency.latency,
+        ),
+        Section(
+            "Processor time of the node",
+            "As before, in chunks of 2 ms; shares of one core by thread. `main` takes commands and serves.",
+            latency.processor_time,
         ),
         Section("Error", "Beside the independent solver of the tests.", speed.referee),
         Section(

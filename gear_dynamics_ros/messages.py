@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_typestore
 
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.signals import CHANNELS, COLUMN, ENERGIES, IMPACTS, Chunk, Commands, Counters
+from gear_dynamics_ros.signals import CHANNELS, COLUMN, ENERGIES, IMPACTS, PACE, Chunk, Commands, Counters
 
 TYPESTORE: Final = get_typestore(Stores.ROS2_JAZZY)
 
@@ -43,23 +43,26 @@ STRING = "std_msgs/msg/String"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 ARRAY = "std_msgs/msg/Float64MultiArray"
+CLOCK = "rosgraph_msgs/msg/Clock"
 
 # A subscriber that stalls for a second at the default 500 Hz still gets every chunk of the waveform.
 WAVEFORM_DEPTH = 500
+# A burst must not push out what another publisher commanded just before it.
+COMMAND_DEPTH = 100
 
 TOPICS: Final[dict[str, Topic]] = {
     "drive_torque_command": Topic(
-        "~/command/drive_torque", FLOAT64, True, 10, False, "drive torque to apply, N m"
+        "~/command/drive_torque", FLOAT64, True, COMMAND_DEPTH, False, "drive torque to apply, N m"
     ),
     "load_torque_command": Topic(
-        "~/command/load_torque", FLOAT64, True, 10, False, "load torque to apply, N m"
+        "~/command/load_torque", FLOAT64, True, COMMAND_DEPTH, False, "load torque to apply, N m"
     ),
-    "speed_command": Topic("~/command/speed", FLOAT64, True, 10, False, "speed set-point, rad/s"),
+    "speed_command": Topic("~/command/speed", FLOAT64, True, COMMAND_DEPTH, False, "speed set-point, rad/s"),
     "joint_command": Topic(
         "~/command/joint",
         JOINT_STATE,
         True,
-        10,
+        COMMAND_DEPTH,
         False,
         "driving: velocity = set-point rad/s, effort = drive torque N m; driven: effort = load torque N m",
     ),
@@ -103,7 +106,15 @@ TOPICS: Final[dict[str, Topic]] = {
     "diagnostics": Topic(
         "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", True, 10, False, "health of engine and sinks"
     ),
-    "clock": Topic("/clock", "rosgraph_msgs/msg/Clock", False, 1, False, "simulated time"),
+    "pacing": Topic(
+        "~/pacing",
+        ARRAY,
+        True,
+        10,
+        False,
+        "once a second: real-time factor reached, overruns, lateness, slip",
+    ),
+    "clock": Topic("/clock", CLOCK, False, 1, False, "simulated time"),
     "applied_command": Topic(
         "~/command/applied",
         JOINT_STATE,
@@ -112,13 +123,21 @@ TOPICS: Final[dict[str, Topic]] = {
         True,
         "commands in force, stamped at the sample where they take effect; laid out like ~/command/joint",
     ),
+    "model_info": Topic(
+        "~/model_info",
+        STRING,
+        True,
+        1,
+        True,
+        "JSON: version, kernel hash, parameters in force, columns and units, joints, frames, epoch of stamps",
+    ),
     "event": Topic(
         "~/event",
         STRING,
         True,
         10,
         True,
-        "JSON: sample, time (s), event, message, counters (steps, located events, capped searches ...)",
+        "JSON: sample, time (s), event, message, counters; parameters that changed, a restored checkpoint",
     ),
 }
 
@@ -222,6 +241,12 @@ class Encoder:
         self._waveform = _Packer("sample", self._channels)
         self._energy = _Packer("sample", [energy.name for energy in ENERGIES])
         self._impacts = _Packer("impact", [entry.name for entry in IMPACTS])
+        self._pacing = _Packer("report", [entry.name for entry in PACE])
+        self._joint_state = _Stamped(_still(self._joints), _JOINT_NUMBERS)
+        self._bearings = {
+            gear: _Stamped(_no_force(f"{prefix}{gear}_bearing"), _FORCE_AND_TORQUE)
+            for gear in ("driving", "driven")
+        }
 
     def chunk(self, chunk: Chunk) -> list[Record]:
         """All messages of one chunk, stamped at its last sample; none of a chunk without samples."""
@@ -234,8 +259,8 @@ class Encoder:
             "dte": _float64(last["dte"]),
             "mesh_force": _float64(last["mesh_force"]),
             "pressure_angle": _float64(last["pressure_angle"]),
-            "driving_bearing_force": _bearing_force(time_ns, last, "driving"),
-            "driven_bearing_force": _bearing_force(time_ns, last, "driven"),
+            "driving_bearing_force": self._bearing_force(time_ns, last, "driving"),
+            "driven_bearing_force": self._bearing_force(time_ns, last, "driven"),
             "meshing_state": _int8(_flank(last["meshing_state"])),
             "energy": self._energy.pack(chunk.energies[None, :]),
         }
@@ -256,23 +281,54 @@ class Encoder:
         )
         return Record("applied_command", time_ns, serialize(JOINT_STATE, message))
 
-    def event(self, kind: str, sample: int, message: str, counters: Counters) -> Record:
-        """An event (reset, pause, resume, end ...) that happened before ``sample`` was made."""
+    def event(
+        self, kind: str, sample: int, message: str, counters: Counters, **details: Mapping[str, Any]
+    ) -> Record:
+        """An event (reset, pause, resume, end ...) that happened before ``sample`` was made.
+
+        ``details`` are entries of its own, such as the parameters that changed.
+        """
         elapsed_ns = sample * self._interval_ns
         content = {"sample": sample, "time": elapsed_ns / 1e9, "event": kind, "message": message}
-        text = json.dumps(content | {"counters": counters._asdict()})
+        text = json.dumps(content | {"counters": counters._asdict()} | details)
         data = serialize(STRING, message_class(STRING)(data=text))
         return Record("event", self._epoch_ns + elapsed_ns, data)
 
+    def pacing(self, time_ns: int, row: Sequence[float]) -> Record:
+        """A row of PACE."""
+        data = self._pacing.pack(np.array([row], dtype=np.float64))
+        return Record("pacing", time_ns, data)
+
+    def model_info(self, time_ns: int, text: str) -> Record:
+        """Description of the model from ``time_ns`` on."""
+        return Record("model_info", time_ns, serialize(STRING, message_class(STRING)(data=text)))
+
+    def clock(self, time_ns: int) -> Record:
+        """Simulated time for others to follow."""
+        return Record("clock", time_ns, serialize(CLOCK, message_class(CLOCK)(clock=stamp(time_ns))))
+
     def _joint_states(self, time_ns: int, last: dict[str, float], angles: list[float]) -> bytes:
-        message = joint_state(
+        return self._joint_state.pack(
             time_ns,
-            self._joints,
-            (*angles, last["dte"]),
-            (last["driving_speed"], last["driven_speed"], last["dte_rate"]),
-            (last["drive_torque"], last["load_torque"], last["mesh_force"]),
+            *angles,
+            last["dte"],
+            len(self._joints),
+            last["driving_speed"],
+            last["driven_speed"],
+            last["dte_rate"],
+            len(self._joints),
+            last["drive_torque"],
+            last["load_torque"],
+            last["mesh_force"],
         )
-        return serialize(JOINT_STATE, message)
+
+    def _bearing_force(self, time_ns: int, last: dict[str, float], gear: str) -> bytes:
+        return self._bearings[gear].pack(
+            time_ns,
+            last[f"{gear}_contact_force_x"] + last[f"{gear}_film_force_x"],
+            last[f"{gear}_contact_force_y"] + last[f"{gear}_film_force_y"],
+            *_NO_MORE,
+        )
 
     def _picked(self, samples: NDArray[np.float64]) -> NDArray[np.float64]:
         return samples if self._all_channels else np.ascontiguousarray(samples[:, self._columns])
@@ -292,11 +348,28 @@ class _Packer:
             whole = serialize(ARRAY, waveform_message(self._names, rows, self._row))
             prefix = self._prefixes[len(rows)] = whole[: len(whole) - rows.nbytes]
         # NumPy's own order may be another than the little endian that the CDR header promises
-        return prefix + rows.astype("<f8", copy=False).tobytes()
+        return b"".join((prefix, rows.astype("<f8", order="C", copy=False).data))
 
 
-# The smallest messages are packed by hand: four of them are made per chunk.
+class _Stamped:
+    """Makes CDR of a message that is constant but for its header's stamp and the numbers at its end."""
+
+    def __init__(self, example: bytes, numbers: str) -> None:
+        """``numbers`` is their struct format; all else is taken from ``example``."""
+        self._constant = example[_STAMP_END : len(example) - struct.calcsize(f"<{numbers}")]
+        self._whole = struct.Struct(f"<4siI{len(self._constant)}s{numbers}")
+
+    def pack(self, time_ns: int, *numbers: float) -> bytes:
+        return self._whole.pack(_CDR_LITTLE_ENDIAN, *divmod(time_ns, 1_000_000_000), self._constant, *numbers)
+
+
+# What every chunk brings is packed by hand: the general serialiser costs several times as much.
 _CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+_STAMP_END = len(_CDR_LITTLE_ENDIAN) + 8
+# Position, velocity and effort; the latter two begin with their count and its padding to eight bytes.
+_JOINT_NUMBERS = "3dQ3dQ3d"
+_FORCE_AND_TORQUE = "6d"
+_NO_MORE = (0.0,) * 4  # force along z, torques
 
 
 def _float64(value: float) -> bytes:
@@ -315,13 +388,12 @@ def _header(time_ns: int, frame_id: str) -> Any:
     return message_class("std_msgs/msg/Header")(stamp=stamp(time_ns), frame_id=frame_id)
 
 
-def _bearing_force(time_ns: int, last: dict[str, float], gear: str) -> bytes:
-    vector = message_class("geometry_msgs/msg/Vector3")
-    force = vector(
-        x=last[f"{gear}_contact_force_x"] + last[f"{gear}_film_force_x"],
-        y=last[f"{gear}_contact_force_y"] + last[f"{gear}_film_force_y"],
-        z=0.0,
-    )
-    wrench = message_class("geometry_msgs/msg/Wrench")(force=force, torque=vector(x=0.0, y=0.0, z=0.0))
-    message = message_class(WRENCH)(header=_header(time_ns, f"{gear}_bearing"), wrench=wrench)
-    return serialize(WRENCH, message)
+def _still(joints: Sequence[str]) -> bytes:
+    zeros = [0.0] * len(joints)
+    return serialize(JOINT_STATE, joint_state(0, joints, zeros, zeros, zeros))
+
+
+def _no_force(frame_id: str) -> bytes:
+    zero = message_class("geometry_msgs/msg/Vector3")(x=0.0, y=0.0, z=0.0)
+    wrench = message_class("geometry_msgs/msg/Wrench")(force=zero, torque=zero)
+    return serialize(WRENCH, message_class(WRENCH)(header=_header(0, frame_id), wrench=wrench))

@@ -10,6 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 
+from gear_dynamics_ros.threads import name_thread
+
 
 class Signals:
     """SIGINT, SIGTERM and SIGHUP, told on a thread of their own; all after the first are ignored.
@@ -38,6 +40,7 @@ class Signals:
             self._stop = stop
 
     def _work(self) -> None:
+        name_thread()
         while number := self._receiver.recv(1):
             with self._lock:
                 stop = self._stop

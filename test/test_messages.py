@@ -15,9 +15,11 @@ from gear_dynamics_ros.messages import (
     Encoder,
     applied_commands,
     deserialize,
+    joint_state,
     message_class,
     resolve,
     serialize,
+    stamp,
     stamp_ns,
     waveform_message,
     waveform_samples,
@@ -140,15 +142,47 @@ def test_joint_states_show_shafts_and_mesh() -> None:
     assert state.effort.tolist() == [last["drive_torque"], last["load_torque"], last["mesh_force"]]
 
 
-@pytest.mark.parametrize("gear", ["driving", "driven"])
-def test_bearing_force_is_contact_plus_film(gear: str) -> None:
+PREFIXES = ["", "l", "left_", "cell/left_"]  # one for each padding of what follows a name
+
+
+@pytest.mark.parametrize("prefix", PREFIXES)
+def test_joint_states_equal_the_serialisers_own_bytes(prefix: str) -> None:
     chunk = synthetic_chunk()
-    message = decoded(chunk)[f"{gear}_bearing_force"]
-    force, torque = message.wrench.force, message.wrench.torque
-    assert message.header.frame_id == f"{gear}_bearing"
-    assert force.x == chunk[f"{gear}_contact_force_x"][-1] + chunk[f"{gear}_film_force_x"][-1]
-    assert force.y == chunk[f"{gear}_contact_force_y"][-1] + chunk[f"{gear}_film_force_y"][-1]
-    assert (force.z, torque.x, torque.y, torque.z) == (0.0, 0.0, 0.0, 0.0)
+    encoder = Encoder(Parameters.from_flat({"joint_prefix": prefix}), EPOCH_NS)
+    last = {name: chunk[name][-1] for name in CHANNEL_NAMES}
+    expected = joint_state(
+        EPOCH_NS + chunk.last_ns,
+        [f"{prefix}{joint}" for joint in ("driving", "driven", "mesh")],
+        [*chunk.angles[-1], last["dte"]],
+        [last["driving_speed"], last["driven_speed"], last["dte_rate"]],
+        [last["drive_torque"], last["load_torque"], last["mesh_force"]],
+    )
+    data = {record.topic: record.data for record in encoder.chunk(chunk)}
+    assert data["joint_states"] == serialize(TOPICS["joint_states"].type, expected)
+
+
+@pytest.mark.parametrize("prefix", PREFIXES)
+@pytest.mark.parametrize("gear", ["driving", "driven"])
+def test_bearing_force_is_contact_plus_film_and_equals_the_serialisers_own_bytes(
+    gear: str, prefix: str
+) -> None:
+    chunk = synthetic_chunk()
+    encoder = Encoder(Parameters.from_flat({"joint_prefix": prefix}), EPOCH_NS)
+    vector = message_class("geometry_msgs/msg/Vector3")
+    force = vector(
+        x=chunk[f"{gear}_contact_force_x"][-1] + chunk[f"{gear}_film_force_x"][-1],
+        y=chunk[f"{gear}_contact_force_y"][-1] + chunk[f"{gear}_film_force_y"][-1],
+        z=0.0,
+    )
+    topic = f"{gear}_bearing_force"
+    expected = message_class(TOPICS[topic].type)(
+        header=message_class("std_msgs/msg/Header")(
+            stamp=stamp(EPOCH_NS + chunk.last_ns), frame_id=f"{prefix}{gear}_bearing"
+        ),
+        wrench=message_class("geometry_msgs/msg/Wrench")(force=force, torque=vector(x=0.0, y=0.0, z=0.0)),
+    )
+    data = {record.topic: record.data for record in encoder.chunk(chunk)}
+    assert data[topic] == serialize(TOPICS[topic].type, expected)
 
 
 def test_applied_commands_round_trip_and_read_as_a_joint_command() -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.signals import Chunk
+from gear_dynamics_ros.threads import name_thread
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -107,6 +108,7 @@ class Viewer:
         self._thread.join(CLOSE_TIMEOUT)
 
     def _run(self) -> None:
+        name_thread()
         try:
             if self._open():
                 self._show()

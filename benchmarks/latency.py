@@ -1,0 +1,190 @@
+"""Latency, jitter and processor time of the real node at real-time factor 1, heard over DDS."""
+
+from __future__ import annotations
+
+import random
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import speed
+from live_node import Arrival, Client, Samples, running
+from numpy.typing import NDArray
+from std_msgs.msg import Float64
+
+from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.messages import JOINT_STATE, deserialize
+from gear_dynamics_ros.parameters import Parameters
+
+COMMANDS = {"5e-4": 1000, "2e-3": 1000, "1e-2": 250}  # by chunk in s
+LATENCY_CHUNK = "2e-3"
+ALLOWANCE = 0.5e-3  # s of latency beyond chunk and computing
+SHARES_AIMED_AT = {"off": 0.60, "on": 0.90}  # of one core, by whether there are recording and Rerun
+THREADS = ("engine", "main", "recorder", "viewer", "dds")
+
+SETTLE = 1.5  # s of wall time in which caches fill and discovery ends
+WATCHED = 6.0  # s of wall time
+COMPUTED = 0.2  # s of simulated time
+PATIENCE = 60.0
+ANSWER_PATIENCE = 1.0
+
+
+class Responses(NamedTuple):
+    """What one run of the node showed; s."""
+
+    latencies: NDArray[np.float64]  # from publishing a command to having its first effect
+    periods: NDArray[np.float64]  # between arrivals
+    unanswered: int
+    samples: Samples
+
+
+class Shares(NamedTuple):
+    """Processor time of the node's threads in cores, by name."""
+
+    threads: Counter[str]
+    samples: Samples
+
+
+def latency() -> list[str]:
+    """Rows for each length of chunk."""
+    lines = [
+        "| chunk, ms | commands | unanswered | computing, ms | latency, ms: median | p99 | largest "
+        "| goal for p99 | period less chunk, us: median | p99 | largest | samples heard | lost | doubled |",
+        "|---" * 14 + "|",
+    ]
+    for chunk, count in COMMANDS.items():
+        parameters = speed.parameters_of("gearbox", f"solver.chunk={chunk}")
+        computing = computing_time(parameters)
+        found = responses(parameters, count)
+        middle, late, latest = 1e3 * np.percentile(found.latencies, (50, 99, 100))
+        jitter = 1e6 * np.percentile(np.abs(found.periods - parameters.solver.chunk), (50, 99, 100))
+        limit = 1e3 * (parameters.solver.chunk + computing + ALLOWANCE)
+        goal = verdict(f"{limit:.2f}", late / limit) if chunk == LATENCY_CHUNK else ""
+        lines.append(
+            f"| {1e3 * parameters.solver.chunk:g} | {count} | {found.unanswered} | {1e3 * computing:.2f} "
+            f"| {middle:.2f} | {late:.2f} | {latest:.2f} | {goal} "
+            f"| {jitter[0]:.0f} | {jitter[1]:.0f} | {jitter[2]:.0f} | {cells(found.samples)} |"
+        )
+    return lines
+
+
+def processor_time() -> list[str]:
+    """Rows without and with recording and Rerun."""
+    lines = [
+        "| recording and Rerun | " + " | ".join(THREADS) + " | others | whole process | goal "
+        "| samples heard | lost | doubled |",
+        "|---" * (len(THREADS) + 7) + "|",
+    ]
+    with tempfile.TemporaryDirectory() as folder:
+        sinks = {
+            "recording.path": Path(folder) / "bag",
+            "rerun.mode": "save",
+            "rerun.path": Path(folder) / "gearbox.rrd",
+        }
+        for state, parameters in {"off": {}, "on": sinks}.items():
+            found = shares(parameters)
+            total, limit = sum(found.threads.values()), SHARES_AIMED_AT[state]
+            named = [found.threads[name] for name in THREADS]
+            others = total - sum(named)
+            parts = [f"{100 * share:.1f} %" for share in (*named, others, total)]
+            goal = verdict(f"{100 * limit:.0f} %", total / limit)
+            lines.append(f"| {state} | {' | '.join(parts)} | {goal} | {cells(found.samples)} |")
+    return lines
+
+
+def computing_time(parameters: Parameters) -> float:
+    """Wall time of the engine for a chunk, s: the median, nothing else at work."""
+    engine = Engine(parameters)
+    engine.advance(round(speed.WARM / parameters.solver.sample_interval))
+    times = []
+    for _ in range(round(COMPUTED / parameters.solver.chunk)):
+        began = time.perf_counter()
+        engine.advance()
+        times.append(time.perf_counter() - began)
+    return float(np.median(times))
+
+
+def responses(parameters: Parameters, count: int) -> Responses:
+    """``count`` commands to the node, one after another, each at any phase of the chunk."""
+    chunk = parameters.solver.chunk
+    samples = Samples(parameters.solver.sample_interval_ns)
+    arrivals: list[int] = []
+    with running({"solver.chunk": chunk}) as node, Client(node) as client:
+        commander = _Commander(client, chunk)
+
+        def take(arrival: Arrival) -> None:
+            arrivals.append(arrival.time_ns)
+            commander.take(arrival)
+
+        client.hear("joint_states", take)
+        client.hear("waveform", samples.take)
+        client.until(lambda: samples.heard, PATIENCE)
+        client.listen(SETTLE)
+        arrivals.clear()
+        # A thread of its own, so that nothing that arrives decides the phase.
+        thread = threading.Thread(target=commander.command, args=[count], daemon=True)
+        thread.start()
+        client.until(lambda: not thread.is_alive(), PATIENCE + count * ANSWER_PATIENCE)
+    return Responses(np.array(commander.latencies), np.diff(arrivals) * 1e-9, commander.unanswered, samples)
+
+
+class _Commander:
+    """Commands one load torque after another and waits for the first output that shows it."""
+
+    def __init__(self, client: Client, chunk: float) -> None:
+        self._publisher = client.publisher("load_torque_command")
+        self._chunk = chunk
+        self._wanted = 0.0
+        self._sent_ns = 0
+        self._seen = threading.Event()
+        self.latencies: list[float] = []
+        self.unanswered = 0
+
+    def take(self, arrival: Arrival) -> None:
+        """A message of joint_states; its second effort is the load torque at the chunk's last sample."""
+        if not self._seen.is_set() and deserialize(JOINT_STATE, arrival.data).effort[1] == self._wanted:
+            self.latencies.append((arrival.time_ns - self._sent_ns) * 1e-9)
+            self._seen.set()
+
+    def command(self, count: int) -> None:
+        for number in range(1, count + 1):
+            time.sleep(self._chunk * random.uniform(1.0, 2.0))
+            self._wanted = 30.0 + 0.001 * number
+            self._sent_ns = time.monotonic_ns()
+            self._seen.clear()
+            self._publisher.publish(Float64(data=self._wanted))
+            if not self._seen.wait(ANSWER_PATIENCE):
+                self.unanswered += 1
+                self._seen.set()
+
+
+def shares(parameters: Mapping[str, object]) -> Shares:
+    """Processor time of a node with a listener to its waveform."""
+    samples = Samples(Parameters().solver.sample_interval_ns)
+    with running(parameters) as node, Client(node) as client:
+        client.hear("waveform", samples.take)
+        client.until(lambda: samples.heard, PATIENCE)
+        client.listen(SETTLE)
+        before, began = node.thread_seconds(), time.monotonic()
+        client.listen(WATCHED)
+        after, elapsed = node.thread_seconds(), time.monotonic() - began
+    threads: Counter[str] = Counter()
+    for (number, name), seconds in after.items():
+        # Fast DDS names its threads dds. and something more.
+        threads[name.partition(".")[0]] += (seconds - before.get((number, name), 0.0)) / elapsed
+    return Shares(threads, samples)
+
+
+def cells(samples: Samples) -> str:
+    """What became of the samples."""
+    return f"{samples.heard} | {samples.lost} | {samples.doubled}"
+
+
+def verdict(limit: str, ratio: float) -> str:
+    """The goal, and whether it is met or by how much it is missed, by the ratio of value to limit."""
+    return f"below {limit}, " + ("met" if ratio < 1.0 else f"missed by {100 * (ratio - 1):.0f} %")
