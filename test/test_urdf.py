@@ -131,9 +131,11 @@ def test_gears_have_their_mass_and_moments_and_stand_a_centre_distance_apart():
     np.testing.assert_allclose(apart, [gears.module * 65 / 2, 0.0, 0.0])
 
 
-def test_forces_are_given_in_frames_that_stand_as_the_model_does():
-    robot = parsed(Parameters())
-    records = Encoder(Parameters(), 0).chunk(Engine(Parameters()).advance())
+@pytest.mark.parametrize("prefix", ["", "left_"])
+def test_forces_are_given_in_frames_that_stand_as_the_model_does(prefix):
+    parameters = Parameters.from_flat({"joint_prefix": prefix})
+    robot = parsed(parameters)
+    records = Encoder(parameters, 0).chunk(Engine(parameters).advance())
     frames = [deserialize(WRENCH, r.data).header.frame_id for r in records if "bearing_force" in r.topic]
     assert len(frames) == 2
     for frame in frames:
