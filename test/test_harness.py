@@ -196,8 +196,8 @@ def test_bad_expectations_are_refused_by_name(change: dict[str, Any], said: str)
         ({"settling": "dte", "tolerance": 0.1, "within": 0.1}, "expectations[0] has no target"),
         ({"settling": "dte", "target": 0.0, "tolerance": 0.1}, "expectations[0] has no within"),
         (
-            {"settling": "dte", "target": 0.0, "tolerance": 0.1, "within": 1.5},
-            "expectations[0].within is 1.5 s, longer than the window (1 s)",
+            {"settling": "dte", "target": 0.0, "tolerance": 0.1, "from": 0.5, "within": 0.75},
+            "expectations[0].within is 0.75 s, longer than the window (0.5 s)",
         ),
         ({"monotone": "dte"}, "expectations[0] has no direction: give one of rising, falling"),
         ({"monotone": "dte", "direction": "up"}, "expectations[0].direction is 'up', must be one of rising"),
@@ -221,10 +221,19 @@ def test_expectations_are_told_apart_by_name() -> None:
 
 
 def test_parameters_keep_their_types() -> None:
-    given = {"a.b": 1, "c": 1.5, "d": "torque", "e": True, "f": [1, 0.5], "g": [0], "h": ["time", "dte"]}
+    given = {
+        "stepping.chunks": 1,
+        "oil.viscosity": 1.5,
+        "operation.control": "torque",
+        "autostart": True,
+        "mesh.error_cos": [1, 0.5],
+        "mesh.error_sin": [0],
+        "waveform_channels": ["time", "dte"],
+    }
     parameters = parse_profile({"duration": 1.0, "parameters": given}).parameters
-    assert parameters == {**given, "f": [1.0, 0.5], "g": [0.0]}
-    assert [type(entry) for entry in parameters["g"]] == [float]  # type: ignore[union-attr]
+    assert parameters == given
+    assert [type(entry) for entry in parameters["mesh.error_sin"]] == [float]  # type: ignore[union-attr]
+    assert type(parameters["stepping.chunks"]) is int
 
 
 @pytest.mark.parametrize(
@@ -234,6 +243,7 @@ def test_parameters_keep_their_types() -> None:
         ({"oil": {"viscosity": 0.1}}, "parameters.oil is {'viscosity': 0.1}, must be one value or a list"),
         ({"mesh.error_cos": [0.1, "x"]}, "parameters.mesh.error_cos is [0.1, 'x']"),
         ({"mesh.error_cos": []}, "parameters.mesh.error_cos is []"),
+        ({"mesh.stifness": 3.0e8}, "parameters: there is no parameter mesh.stifness"),
     ],
 )
 def test_bad_parameters_are_refused_by_name(parameters: object, said: str) -> None:
@@ -360,6 +370,13 @@ def test_lost_samples_fail_what_needed_them_and_nothing_else() -> None:
     assert before.passed
     assert (across.samples, across.missing, across.passed) == (100, 100, False)
     assert "lacks 100 of 200 samples" in across.reason()
+
+
+def test_a_window_between_two_samples_is_told() -> None:
+    profile = expecting({"mean": "dte", "from": 0.000501, "to": 0.000502, "minimum": -9.0})
+    (result,) = play(profile, waveform(0, 200), [100]).results()
+    assert not result.passed
+    assert result.reason().endswith("holds no sample: lengthen it")
 
 
 def test_an_unfinished_window_has_not_passed() -> None:

@@ -74,10 +74,12 @@ def _drive(arguments: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
         outcome = play(profile, node, arguments.wait, arguments.timeout, display.update, ros_arguments)
     finally:
         display.close()
-    print(f"{outcome.published} commands published")
-    if outcome.results:
-        print(format_results(outcome.results), flush=True)
-    report.write(outcome.results, outcome.failure)
+    try:
+        report.write(outcome.results, outcome.failure)
+    finally:
+        print(f"{outcome.published} commands published")
+        if outcome.results:
+            print(format_results(outcome.results), flush=True)
     if outcome.signal:
         print(f"drive: {outcome.failure}", file=sys.stderr)
         return SIGNALLED + outcome.signal

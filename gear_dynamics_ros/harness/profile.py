@@ -11,6 +11,7 @@ from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.harness import fields
 from gear_dynamics_ros.harness.expectations import Expectation, parse_expectations
 from gear_dynamics_ros.harness.tracks import Track, parse_track
+from gear_dynamics_ros.parameters import Parameters, specifications
 from gear_dynamics_ros.ros_yaml import parse_yaml
 from gear_dynamics_ros.signals import Commands
 
@@ -66,10 +67,18 @@ def parse_profile(data: object, folder: Path) -> Profile:
 
 
 def _parameters(tree: object) -> Mapping[str, Setting]:
-    """Only the form is checked here: what may be set, and to what, is for the gearbox to say."""
+    """Only names and form are checked here: what may be set, and to what, is for the gearbox to say."""
     if not isinstance(tree, Mapping):
         raise UsageError(f"parameters is {tree!r}, must be a mapping of dotted names to values")
-    return {str(name): _setting(f"parameters.{name}", value) for name, value in tree.items()}
+    settings = {str(name): _setting(f"parameters.{name}", value) for name, value in tree.items()}
+    try:
+        # The gearbox would only say that something unknown was set.
+        Parameters.from_flat(
+            {name: value for name, value in settings.items() if name not in specifications()}
+        )
+    except UsageError as error:
+        raise UsageError(f"parameters: {error}") from error
+    return settings
 
 
 def _setting(where: str, value: object) -> Setting:

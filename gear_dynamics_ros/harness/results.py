@@ -49,6 +49,8 @@ class Result(NamedTuple):
             return f"{head} was not reached"
         if self.missing:
             return f"{head} lacks {self.missing} of {self.missing + self.samples} samples"
+        if not self.values:
+            return f"{head} holds no sample: lengthen it"
         return f"{head} is {self.measured()}, expected {expectation.limits()}"
 
 
