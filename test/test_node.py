@@ -603,10 +603,12 @@ def test_transitions_repeated_leave_nothing_behind(ros_domain, process):
             answer = switch.call_async(ChangeState.Request(transition=Transition(id=transition)))
             client.until(answer.done)
             assert answer.result().success
-        return {what: len(list(Path(f"/proc/{node.pid}/{what}").iterdir())) for what in ("fd", "task")}
+        return sum(len(list(Path(f"/proc/{node.pid}/{what}").iterdir())) for what in ("fd", "task"))
 
     try:
         assert switch.wait_for_service(PATIENCE)
-        assert cycles(5) == cycles(40)
+        early = cycles(5)
+        # DDS has a thread or a descriptor more or less at any moment; what stays behind adds up to 40.
+        assert cycles(40) < early + 10
     finally:
         client.close()
