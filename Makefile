@@ -1,4 +1,4 @@
-# make setup | demo | test | bench | lint | clean
+# make setup | demo | test | bench | soak | lint | clean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -14,7 +14,7 @@ unexport PYTHONPATH LD_LIBRARY_PATH AMENT_PREFIX_PATH RMW_IMPLEMENTATION _ROS_WH
 INSTALLED := $(VENV)/.installed
 WARM := $(VENV)/.warm
 
-.PHONY: setup demo test bench lint clean
+.PHONY: setup demo test bench soak lint clean
 
 setup: $(WARM)
 
@@ -27,6 +27,11 @@ test: setup
 
 bench: setup
 	@$(BIN)/python benchmarks --output benchmarks/results.md
+
+# Ten minutes; others with make soak DURATION=60.
+DURATION := 600
+soak: setup
+	@$(BIN)/python benchmarks/soak.py --duration $(DURATION) --output docs/soak.md
 
 lint: setup
 	@$(BIN)/ruff check .

@@ -14,6 +14,7 @@ import latency
 import numpy as np
 import plain_c
 import speed
+from machine import processor
 
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError
@@ -200,18 +201,6 @@ def at_most(goal: float, value: float) -> str:
     """The goal, and whether it is met or by how much it is missed."""
     verdict = "met" if value <= goal else f"missed by {100 * (value / goal - 1):.0f} %"
     return f"at most {goal:g}, {verdict}"
-
-
-def processor() -> str:
-    """Its name, as far as the system tells."""
-    try:
-        text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
-    except OSError:
-        text = ""
-    for line in text.splitlines():
-        if line.startswith("model name"):
-            return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import random
 import tempfile
 import threading
 import time
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -46,7 +46,7 @@ class Responses(NamedTuple):
 class Shares(NamedTuple):
     """Processor time of the node's threads in cores, by name."""
 
-    threads: Counter[str]
+    threads: Mapping[str, float]
     samples: Samples
 
 
@@ -89,7 +89,7 @@ def processor_time() -> list[str]:
         for state, parameters in {"off": {}, "on": sinks}.items():
             found = shares(parameters)
             total, limit = sum(found.threads.values()), SHARES_AIMED_AT[state]
-            named = [found.threads[name] for name in THREADS]
+            named = [found.threads.get(name, 0.0) for name in THREADS]
             others = total - sum(named)
             parts = [f"{100 * share:.1f} %" for share in (*named, others, total)]
             goal = verdict(f"{100 * limit:.0f} %", total / limit)
@@ -130,7 +130,9 @@ def responses(parameters: Parameters, count: int) -> Responses:
         thread = threading.Thread(target=commander.command, args=[count], daemon=True)
         thread.start()
         client.until(lambda: not thread.is_alive(), PATIENCE + count * ANSWER_PATIENCE)
-    return Responses(np.array(commander.latencies), np.diff(arrivals) * 1e-9, commander.unanswered, samples)
+    return Responses(
+        np.array(commander.latencies), np.diff(np.array(arrivals) * 1e-9), commander.unanswered, samples
+    )
 
 
 class _Commander:
@@ -173,7 +175,7 @@ def shares(parameters: Mapping[str, object]) -> Shares:
         before, began = node.thread_seconds(), time.monotonic()
         client.listen(WATCHED)
         after, elapsed = node.thread_seconds(), time.monotonic() - began
-    threads: Counter[str] = Counter()
+    threads: defaultdict[str, float] = defaultdict(float)
     for (number, name), seconds in after.items():
         # Fast DDS names its threads dds. and something more.
         threads[name.partition(".")[0]] += (seconds - before.get((number, name), 0.0)) / elapsed

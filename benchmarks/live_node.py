@@ -71,6 +71,8 @@ def _end(child: subprocess.Popen[bytes]) -> None:
     try:
         child.wait(STOP_SECONDS)
     except subprocess.TimeoutExpired:
+        print(f"the node did not end within {STOP_SECONDS:g} s of SIGINT: killed", file=sys.stderr)
+    finally:  # also when a second Ctrl-C cuts the wait short
         child.kill()
         child.wait()
 

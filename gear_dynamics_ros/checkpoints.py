@@ -46,6 +46,16 @@ class Saved(NamedTuple):
     kernel_hash: str
 
 
+def require_place(path: Path) -> None:
+    """Raise UsageError unless a checkpoint can stand at ``path``."""
+    if path.is_dir():
+        raise UsageError(f"checkpoint.path: '{path}' is a folder: name a file in it")
+    if not path.parent.is_dir():
+        raise UsageError(
+            f"checkpoint.path: the folder '{path.parent}' does not exist: make it or choose another path"
+        )
+
+
 def take(engine: Engine) -> Saved:
     """The state of this moment. Raises GearboxError if the run has ended: nothing could go on from it."""
     if engine.status is not Status.RUNNING:
@@ -131,8 +141,9 @@ def decides_physics(name: str) -> bool:
 
 
 def _replace(path: Path, text: str) -> None:
-    draft = path.parent / f".{path.name}.{os.getpid()}.part"
+    draft = path.parent / f".{path.name}.part"
     try:
+        draft.unlink(missing_ok=True)
         with draft.open("x", encoding="utf-8") as stream:
             stream.write(text)
             stream.flush()

@@ -126,7 +126,7 @@ def joint_changes(
             _put(wanted, "drive_torque", effort, index)
         elif name == f"{prefix}driven":
             _put(wanted, "load_torque", effort, index)
-        else:
+        elif name != f"{prefix}mesh":  # ros2_control names every joint it has, commanded or not
             unknown.append(name)
     return wanted, unknown
 

@@ -167,9 +167,11 @@ class Engine:
         """Go on from the state of ``checkpoint`` while simulated time goes on too.
 
         All comes out as after ``restore``, at other times. Raises GearboxError, changing nothing, if it can't
-        be one.
+        be one, or is of a run that had ended.
         """
         found = _read_checkpoint(checkpoint)
+        if found.status is not Status.RUNNING:
+            raise GearboxError("the checkpoint is of a run that had ended: take an earlier one")
         found.state["impact_time"] += (self.sample - found.sample) * self._interval_ns / 1e9
         self._take(found._replace(sample=self.sample))
 

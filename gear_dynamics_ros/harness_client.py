@@ -22,6 +22,7 @@ from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64, Float64MultiArray, String
 
+from gear_dynamics_ros.discovery import stay_local
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.harness.player import Player
 from gear_dynamics_ros.harness.profile import Profile
@@ -93,6 +94,7 @@ def _session(
     received: Sequence[int],
     ros_arguments: Sequence[str],
 ) -> Iterator[_Session]:
+    stay_local()
     context = Context()
     try:
         rclpy.init(args=list(ros_arguments), context=context, signal_handler_options=SignalHandlerOptions.NO)

@@ -6,6 +6,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -18,7 +19,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.serialization import serialize_message
 
-from gear_dynamics_ros import diagnostics, node_parameters, node_topics
+from gear_dynamics_ros import checkpoints, diagnostics, node_parameters, node_topics
 from gear_dynamics_ros.commands import Mailbox, joint_changes
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
@@ -119,6 +120,8 @@ class GearboxNode(LifecycleNode):
 
     def _configure(self) -> None:
         self._warn(warnings(self.parameters))
+        if self.parameters.checkpoint.path:
+            checkpoints.require_place(Path(self.parameters.checkpoint.path).absolute())
         warm_up(self.parameters, self._log.info)
         self._engine = Engine(self.parameters)
         self._mailbox = Mailbox(self.parameters, time.monotonic_ns())

@@ -6,9 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
 
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
-from rclpy.task import Future as RosFuture
 from std_srvs.srv import SetBool, Trigger
 
 from gear_dynamics_ros.errors import GearboxError
@@ -40,11 +38,7 @@ def create_services(node: Node, active: Find, restored: Callable[[Session], None
         "record": (SetBool, lambda request: active().record(request.data)),
     }
     services = [node.create_service(kind, f"~/{name}", _serve(act)) for name, (kind, act) in plain.items()]
-    # In a group of its own: what resumes or resets must be heard while steps are made.
-    step = node.create_service(
-        Trigger, "~/step", _serve_steps(node, active), callback_group=ReentrantCallbackGroup()
-    )
-    return [*services, step]
+    return [*services, _create_step_service(node, active)]
 
 
 def _serve(act: Act) -> Callable[[Any, Any], Any]:
@@ -60,30 +54,39 @@ def _serve(act: Act) -> Callable[[Any, Any], Any]:
     return answer
 
 
-def _serve_steps(node: Node, active: Find) -> Callable[[Any, Any], Any]:
-    async def answer(_: Any, response: Any) -> Any:
+def _create_step_service(node: Node, active: Find) -> Any:
+    """``~/step``, answered when the chunks are made; meanwhile all other calls are served.
+
+    rclpy sends what a callback returns at once, and its executor driven by events knows no coroutines. So
+    the sending itself is put off until then.
+    """
+    under_way: dict[int, Future[float]] = {}
+
+    def begin(_: Any, response: Any) -> Any:
         try:
-            steps = active().step()
-            await _settled(node, steps)
-            response.message = f"simulated {steps.result():.9g} s"
-            response.success = True
+            under_way[id(response)] = active().step()
         except GearboxError as error:
             response.message = str(error)
-            response.success = False
         return response
 
-    return answer
+    service = node.create_service(Trigger, "~/step", begin)
+    send = service.send_response
+
+    def send_when_done(response: Any, header: Any) -> None:
+        steps = under_way.pop(id(response), None)
+        if steps is None:
+            send(response, header)
+        else:
+            steps.add_done_callback(lambda done: send(_result(done, response), header))
+
+    service.send_response = send_when_done  # type: ignore[method-assign]
+    return service
 
 
-def _settled(node: Node, future: Future[Any]) -> RosFuture:
-    """What a coroutine of the node's executor can await until ``future`` is done on another thread."""
-    executor = node.executor
-    done = RosFuture(executor=executor)
-
-    def settle(_: object) -> None:
-        done.set_result(None)
-        if executor is not None:
-            executor.wake()
-
-    future.add_done_callback(settle)
-    return done
+def _result(steps: Future[float], response: Any) -> Any:
+    try:
+        response.message = f"simulated {steps.result():.9g} s"
+        response.success = True
+    except GearboxError as error:
+        response.message = str(error)
+    return response

@@ -139,7 +139,7 @@ class Run:
     def restore(self, checkpoint: Mapping[str, Any], message: str = "") -> None:
         """Go on from the state of ``checkpoint`` while simulated time goes on, as ``Engine.resume`` does.
 
-        Raises GearboxError, changing nothing, if it can't be one.
+        Raises GearboxError, changing nothing, if it can't be one, or is of a run that had ended.
         """
         self.engine.resume(checkpoint)
         self._end = ""

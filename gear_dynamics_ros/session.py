@@ -168,7 +168,7 @@ class Session:
         path = self.parameters.checkpoint.path
         if not path:
             raise GearboxError("checkpoint.path is empty: start the node with a file for checkpoints")
-        return Path(path)
+        return Path(path).absolute()
 
     def _tell(self) -> None:
         """Publish and record what the model is, after whatever changed it."""

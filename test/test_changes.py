@@ -95,6 +95,13 @@ def test_what_is_fixed_stays_and_nothing_else_changes() -> None:
     assert engine.parameters == Parameters() and engine.checkpoint() == before
 
 
+def test_a_minus_that_no_recording_tells_is_not_taken() -> None:
+    engine = Engine(parameters(operation__control="torque", operation__drive_torque=0.0))
+    change(engine, {"operation.drive_torque": -0.0, "oil.viscosity": 0.1})
+    engine.reset()
+    assert not np.signbit(engine.advance(1)["drive_torque"][0])
+
+
 def test_control_is_handed_over_without_a_jump() -> None:
     engine = Engine(parameters(operation__speed=1500.0))
     engine.command(Commands(30.0, 34.0, 1510.0))

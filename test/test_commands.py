@@ -47,8 +47,8 @@ def test_what_cannot_be_is_refused_as_a_whole(mailbox, changes):
 
 
 def test_a_joint_command_names_what_it_changes():
-    names = ["l_driven", "l_driving", "driving"]
-    wanted, unknown = joint_changes("l_", names, [1.0, 2.0, 3.0], [4.0, 5.0, 6.0])
+    names = ["l_driven", "l_driving", "driving", "l_mesh"]
+    wanted, unknown = joint_changes("l_", names, [1.0, 2.0, 3.0, 4.0], [4.0, 5.0, 6.0, 7.0])
     assert wanted == {"speed": 2.0, "drive_torque": 5.0, "load_torque": 4.0}
     assert unknown == ["driving"]
     assert joint_changes("", ["driving", "driven"], [], [math.nan])[0] == {}

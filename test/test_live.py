@@ -153,7 +153,7 @@ def test_steps_are_given_up_when_their_time_is_over(start):
 def test_steps_are_given_up_when_the_run_ends(start):
     live, _, ended = paused(
         start,
-        **{"operation.control": "torque", "operation.load_torque": 0.0, "operation.speed_limit": 1640.0},
+        **{"operation.control": "torque", "operation.load_torque": 0.0},
     )
     with pytest.raises(GearboxError, match="aborted: over-speed"):
         live.step(1_000_000, 3600.0).result(120.0)

@@ -185,6 +185,19 @@ def test_bearing_force_is_contact_plus_film_and_equals_the_serialisers_own_bytes
     assert data[topic] == serialize(TOPICS[topic].type, expected)
 
 
+@pytest.mark.parametrize("prefix", PREFIXES)
+def test_applied_commands_equal_the_serialisers_own_bytes(prefix: str) -> None:
+    encoder = Encoder(Parameters.from_flat({"joint_prefix": prefix}), EPOCH_NS)
+    expected = joint_state(
+        EPOCH_NS + 1_230_000,
+        [f"{prefix}driving", f"{prefix}driven"],
+        [],
+        [COMMANDS.speed, math.nan],
+        [COMMANDS.drive_torque, COMMANDS.load_torque],
+    )
+    assert encoder.applied(COMMANDS, 123).data == serialize(TOPICS["applied_command"].type, expected)
+
+
 def test_applied_commands_round_trip_and_read_as_a_joint_command() -> None:
     record = Encoder(Parameters(), EPOCH_NS).applied(COMMANDS, 123)
     message = deserialize(TOPICS["applied_command"].type, record.data)

@@ -23,7 +23,7 @@ from rcl_interfaces.srv import (
     SetParametersAtomically,
 )
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
@@ -60,7 +60,7 @@ class Client:
         self.context = Context()
         rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
         self.node = Node("client", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor = EventsExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.heard = {key: [] for key in OUTPUTS}
         self.publishers = {}
@@ -514,6 +514,7 @@ def test_duration_ends_the_node_with_a_complete_recording(ros_domain, process, t
         ("oil.viscosity:=.nan", ["oil.viscosity", "nan"]),
         ("operation.speed:=6000.0", ["operation.speed", "6000", "speed_limit"]),
         ("recording.path:=/", ["recording.path", "exists"]),
+        ("checkpoint.path:=/nowhere/state.json", ["checkpoint.path", "/nowhere", "does not exist"]),
         ("mesh.error_cos:=[]", ["array"]),
     ],
 )
@@ -602,10 +603,12 @@ def test_transitions_repeated_leave_nothing_behind(ros_domain, process):
             answer = switch.call_async(ChangeState.Request(transition=Transition(id=transition)))
             client.until(answer.done)
             assert answer.result().success
-        return {what: len(list(Path(f"/proc/{node.pid}/{what}").iterdir())) for what in ("fd", "task")}
+        return sum(len(list(Path(f"/proc/{node.pid}/{what}").iterdir())) for what in ("fd", "task"))
 
     try:
         assert switch.wait_for_service(PATIENCE)
-        assert cycles(5) == cycles(40)
+        early = cycles(5)
+        # DDS has a thread or a descriptor more or less at any moment; what stays behind adds up to 40.
+        assert cycles(40) < early + 10
     finally:
         client.close()

@@ -545,8 +545,7 @@ def mesh(constants: Record, state: Record, motion: Motion, excitation: Floats, l
     r1, r2 = constants.base_radius[0], constants.base_radius[1]
     r_sum = r1 + r2
     half = 0.5 * lag
-    phase_speed = state.speed if constants.nominal_phase else motion.omega[0]
-    phi_rate = constants.teeth1 * phase_speed
+    phi_rate = phase_rate(constants, state, motion.omega[0])
     z, z_rate = surface_at(excitation, lag, phi_rate)
     k1 = constants.stiffness * (1.0 + excitation[STIFFNESS] + lag * excitation[STIFFNESS_SLOPE])
     k1_rate = constants.stiffness * phi_rate * excitation[STIFFNESS_SLOPE]
@@ -614,6 +613,14 @@ def mesh(constants: Record, state: Record, motion: Motion, excitation: Floats, l
         excitation_power=0.5 * k1_rate * approach * approach - force * (e_rate - 0.5 * side * z_rate),
         loss_rate=(force - elastic) * approach_rate,
     )
+
+
+@hot
+def phase_rate(constants: Record, state: Record, omega1: float) -> float:
+    """Rate of the mesh phase, rad/s."""
+    speed = state.speed if constants.nominal_phase else omega1
+    rate: float = constants.teeth1 * speed
+    return rate
 
 
 @hot
@@ -776,9 +783,10 @@ def push_rate(constants: Record, state: Record, point: Record, teeth: Mesh, rate
     Up to products of the centres' speeds, which are some 1e-5 of it.
     """
     excitation = point.excitation
-    phi_rate, phi_acceleration = constants.teeth1 * point.omega[0], constants.teeth1 * rates.alpha[0]
+    phi_rate = phase_rate(constants, state, point.omega[0])
+    phi_acceleration = constants.teeth1 * rates.alpha[0]
     if constants.nominal_phase:
-        phi_rate, phi_acceleration = constants.teeth1 * state.speed, 0.0
+        phi_acceleration = 0.0
     phi_rate2 = phi_rate * phi_rate
     z = phi_rate2 * excitation[SURFACE_CURVATURE] + phi_acceleration * excitation[SURFACE_SLOPE]
     e = phi_rate2 * excitation[ERROR_CURVATURE] + phi_acceleration * excitation[ERROR_SLOPE]

@@ -1,0 +1,287 @@
+"""The node for a long time with everything on: is every sample there, in time, and does memory stay?"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import random
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from live_node import PARAMETERS, Client, NodeProcess, Samples, running
+from machine import processor
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
+
+from gear_dynamics_ros import palette
+from gear_dynamics_ros.cli.common import FAILURE, Progress, guarded
+from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.messages import TOPICS, deserialize
+from gear_dynamics_ros.parameters import load
+
+DURATION = 600.0  # s of wall time, as are the next
+SETTLE = 2.0
+PATIENCE = 120.0  # a first start compiles the kernel
+COMMAND_INTERVAL = 0.05
+SPLIT_INTERVAL = 20.0
+MEMORY_SETTLES = 60.0
+LOAD_TORQUE = (20.0, 40.0)  # N m
+CHUNKS_PER_OVERRUN = 10_000
+MEMORY_GROWTH = 16.0  # MiB
+PICTURE = "soak.png"
+
+
+class Look(NamedTuple):
+    """How the node stood when it sent its diagnostics."""
+
+    time: float  # s of a monotonic clock
+    memory: float  # resident, MiB
+    overruns: int
+    lateness: float  # of the latest chunk since the look before, ms
+    queued: float  # before the recorder, MB
+    lost: int  # messages, by the recorder
+    dropped: int  # chunks, by the viewer
+
+
+class Found(NamedTuple):
+    """What a soak brought to light."""
+
+    looks: list[Look]
+    samples: Samples
+    duration: float  # s of wall time
+    simulated: float  # s
+    chunk: float  # s
+    commands: int
+    splits: int
+    processor_share: float  # of one core
+
+
+class Row(NamedTuple):
+    """A figure of the page, and whether it is as it should be; ``met`` is None where nothing is asked."""
+
+    name: str
+    value: str
+    asked: str = ""
+    met: bool | None = None
+
+
+def main() -> int:
+    """Soak, print and write; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="soak",
+        description="Run the node at real-time factor 1 with recording, Rerun, commands and a listener that "
+        "checks every sample. Exit code 1 if one was lost, too many chunks were late, or memory grew.",
+    )
+    parser.add_argument(
+        "--duration", type=float, default=DURATION, metavar="S", help=f"wall time (default {DURATION:g})"
+    )
+    parser.add_argument(
+        "--output", type=Path, metavar="FILE", help=f"write the page there too, and {PICTURE} beside it"
+    )
+    return guarded(lambda arguments: report(soak(arguments.duration), arguments.output), parser, None)
+
+
+def soak(duration: float) -> Found:
+    """Run the node for ``duration`` s of wall time. Raises GearboxError if it ends or does not serve."""
+    parameters = load(PARAMETERS, [])
+    samples = Samples(parameters.solver.sample_interval_ns)
+    looks: list[Look] = []
+    commands = 0
+    with tempfile.TemporaryDirectory(prefix="soak") as folder:
+        bag, stream = Path(folder) / "bag", Path(folder) / "gearbox.rrd"
+        sinks = {"recording.path": bag, "rerun.mode": "save", "rerun.path": stream}
+        with running(sinks) as node, Client(node) as client, Progress("soaking", round(duration)) as progress:
+            client.hear("waveform", samples.take)
+            client.hear("diagnostics", lambda arrival: looks.append(look(arrival.data, node)))
+            publisher = client.publisher("load_torque_command")
+            splitter = _Splitter(client)
+            client.until(lambda: samples.heard and looks, PATIENCE)
+            client.listen(SETTLE)
+            del looks[:-1]
+            heard, worked, began = samples.heard, busy(node), time.monotonic()
+            while (elapsed := time.monotonic() - began) < duration:
+                publisher.publish(Float64(data=random.uniform(*LOAD_TORQUE)))
+                commands += 1
+                splitter.split(elapsed)
+                make_room(bag, stream)
+                progress(int(elapsed))
+                client.listen(COMMAND_INTERVAL)
+            share = (busy(node) - worked) / elapsed
+        splitter.check()
+    return Found(
+        looks,
+        samples,
+        elapsed,
+        (samples.heard - heard) * parameters.solver.sample_interval,
+        parameters.solver.chunk,
+        commands,
+        splitter.count,
+        share,
+    )
+
+
+def look(data: bytes, node: NodeProcess) -> Look:
+    """What diagnostics in CDR and the system tell of the node."""
+    array = deserialize(TOPICS["diagnostics"].type, data)
+    told: dict[str, dict[str, str]] = {
+        status.name.rpartition(": ")[2]: {item.key: item.value for item in status.values}
+        for status in array.status
+    }
+    return Look(
+        time.monotonic(),
+        node.resident() / 2**20,
+        int(told["pacing"]["overruns"]),
+        1e3 * float(told["pacing"]["worst lateness (s)"]),
+        1e-6 * int(told["recorder"]["queued_bytes"]),
+        int(told["recorder"]["lost"]),
+        int(told["viewer"]["dropped"]),
+    )
+
+
+def busy(node: NodeProcess) -> float:
+    """Processor time of the node's living threads, s."""
+    return sum(node.thread_seconds().values())
+
+
+def make_room(bag: Path, stream: Path) -> None:
+    """Remove what nobody will read: the finished files of the recording, and what Rerun has written."""
+    finished = sorted(bag.glob("*.mcap"), key=lambda part: part.stat().st_mtime_ns)[:-1]
+    for part in finished:
+        part.unlink()
+    if finished and stream.exists():
+        os.truncate(stream, 0)
+
+
+class _Splitter:
+    """Calls ~/split every now and then."""
+
+    def __init__(self, client: Client) -> None:
+        self._service = client.ros.create_client(Trigger, "/gearbox/split")
+        client.until(self._service.service_is_ready, PATIENCE)
+        self._answers: list[Any] = []
+
+    @property
+    def count(self) -> int:
+        """Calls so far."""
+        return len(self._answers)
+
+    def split(self, elapsed: float) -> None:
+        """Call if it is time, ``elapsed`` s after the begin."""
+        if elapsed >= SPLIT_INTERVAL * (self.count + 1):
+            self._answers.append(self._service.call_async(Trigger.Request()))
+
+    def check(self) -> None:
+        """Raise GearboxError if a call, but for the last, has failed or was not answered."""
+        for number, answer in enumerate(self._answers[:-1], 1):
+            if not answer.done():
+                raise GearboxError(f"~/split: call {number} was not answered: see the node's output")
+            if not answer.result().success:
+                raise GearboxError(f"~/split: call {number} failed: {answer.result().message}")
+
+
+def report(found: Found, output: Path | None) -> int:
+    """Print the page, write it and its picture if wanted; returns the exit code."""
+    table = rows(found)
+    text = "\n".join(page(found, table))
+    print(text)
+    if output is not None:
+        output.write_text(text, encoding="utf-8")
+        picture(found.looks).savefig(output.with_name(PICTURE), dpi=80)
+    return FAILURE if any(row.met is False for row in table) else 0
+
+
+def rows(found: Found) -> list[Row]:
+    """The figures, judged."""
+    first, last = found.looks[0], found.looks[-1]
+    samples = found.samples
+    overruns = last.overruns - first.overruns
+    chunks = round(found.simulated / found.chunk)
+    dropped = last.dropped - first.dropped
+    return [
+        Row("real-time factor", f"{found.simulated / found.duration:.4f}"),
+        Row("samples heard", f"{samples.heard}"),
+        Row("samples lost", f"{samples.lost}", "0", samples.lost == 0),
+        Row("samples doubled", f"{samples.doubled}", "0", samples.doubled == 0),
+        Row("messages the recorder lost", f"{last.lost}", "0", last.lost == 0),
+        Row("chunks", f"{chunks}"),
+        Row(
+            "overruns",
+            f"{overruns}",
+            f"at most 1 in {CHUNKS_PER_OVERRUN} chunks",
+            overruns * CHUNKS_PER_OVERRUN <= chunks,
+        ),
+        Row("latest begin of a chunk, ms", f"{max(look.lateness for look in found.looks[1:]):.2f}"),
+        Row("longest queue of the recorder, MB", f"{max(look.queued for look in found.looks):.2f}"),
+        Row("chunks the viewer dropped", f"{dropped}"),
+        Row("memory at the end, MiB", f"{last.memory:.1f}"),
+        memory_row(found.looks),
+        Row("processor time, share of one core", f"{100 * found.processor_share:.1f} %"),
+    ]
+
+
+def memory_row(looks: list[Look]) -> Row:
+    """What a line through the memory gains after it has settled."""
+    name, asked = "memory gained after the first minute, MiB", f"at most {MEMORY_GROWTH:g}"
+    times, memory = np.array([(look.time - looks[0].time, look.memory) for look in looks]).T
+    settled = times >= MEMORY_SETTLES
+    if times[-1] < 2.0 * MEMORY_SETTLES:
+        return Row(name, "too short to tell", asked)
+    slope = np.polyfit(times[settled], memory[settled], 1)[0]
+    gained = float(slope * (times[-1] - MEMORY_SETTLES))
+    return Row(name, f"{gained:.2f}", asked, gained <= MEMORY_GROWTH)
+
+
+def page(found: Found, table: list[Row]) -> list[str]:
+    """The page in Markdown."""
+    return [
+        "# Soak",
+        "",
+        f"Made by `make soak` on {processor()} ({os.cpu_count()} logical processors), "
+        f"Python {platform.python_version()}: the node with gearbox.yaml at real-time factor 1 for "
+        f"{found.duration:.0f} s, all channels at 100 kHz, recording (`~/split` called {found.splits} times) "
+        f"and Rerun (save) on, {found.commands} commands at {1.0 / COMMAND_INTERVAL:g} Hz. A process beside "
+        "it follows the time of every sample of `~/waveform`; the rest is from `/diagnostics`, once a "
+        "second, and the system. Memory gained is what a straight line through the resident memory rises.",
+        "",
+        "| figure | value | asked | |",
+        "|---|---|---|---|",
+        *(f"| {row.name} | {row.value} | {row.asked} | {verdict(row.met)} |" for row in table),
+        "",
+        f"![Resident memory, latest begin of a chunk and queue of the recorder over time]({PICTURE})",
+        "",
+    ]
+
+
+def verdict(met: bool | None) -> str:
+    """In a word."""
+    return "" if met is None else "met" if met else "missed"
+
+
+def picture(looks: list[Look]) -> Figure:
+    """Memory, lateness and queue over wall time."""
+    figure = Figure(figsize=(8.0, 5.0), layout="constrained")
+    axes: NDArray[Any] = figure.subplots(3, 1, sharex=True)
+    times = [look.time - looks[0].time for look in looks]
+    curves = {
+        "memory, MiB": [look.memory for look in looks],
+        "latest begin, ms": [look.lateness for look in looks],
+        "queue, MB": [look.queued for look in looks],
+    }
+    for axis, (label, values) in zip(axes, curves.items(), strict=True):
+        axis.plot(times, values, color=palette.BLUE, linewidth=1.0)
+        axis.set_ylabel(label)
+        axis.set_ylim(bottom=0.0)
+        axis.grid(alpha=0.3)
+    axes[-1].set_xlabel("wall time, s")
+    return figure
+
+
+if __name__ == "__main__":
+    sys.exit(main())
