@@ -21,6 +21,10 @@ setup(
         (str(SHARE), ["package.xml"]),
         (f"lib/{PACKAGE}", [str(path) for path in sorted(Path().glob("executables/*"))]),
         *shared("config/**/*.yaml"),
+        *shared("config/*.xml"),
+        *shared("examples/*.py"),
         *shared("launch/*.launch.py"),
+        *shared("sros2/*.xml"),
+        *shared("urdf/*.urdf"),
     ],
 )

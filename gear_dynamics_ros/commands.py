@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import math
 import threading
+from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from gear_dynamics_ros.parameters import Parameters, specifications
+from gear_dynamics_ros.signals import Commands
+
+# Of a burst between two chunk edges as many are recorded; those before them had no effect.
+MOST_RECEIVED = 1000
 
 
 class Delivery(NamedTuple):
@@ -23,67 +28,81 @@ class Tally(NamedTuple):
 
     accepted: int
     refused: int
+    unrecorded: int  # of a burst, overtaken before the chunk edge and not recorded
     last_refusal: str
+    ages: Mapping[str, float]  # field of Commands: wall time in s since it was commanded; NaN: never
 
 
 class Mailbox:
     """Takes commands from one thread and hands them to another; times are ns of one monotonic clock."""
 
     def __init__(self, parameters: Parameters, now_ns: int) -> None:
+        self._lock = threading.Lock()
+        self._changes: dict[str, float] = {}
+        self._received: deque[tuple[str, bytes]] = deque(maxlen=MOST_RECEIVED)
+        self._last_ns = now_ns
+        self._commanded_ns: dict[str, int] = {}
+        self._accepted = 0
+        self._refused = 0
+        self._unrecorded = 0
+        self._last_refusal = ""
+        self.limit(parameters)
+
+    def limit(self, parameters: Parameters) -> None:
+        """Take from now on what lies within the bounds of ``parameters``."""
         rows = specifications()
         speed_limit = parameters.operation.speed_limit
         torques = {name: rows[f"operation.{name}"] for name in ("drive_torque", "load_torque")}
-        self._bounds = {
+        bounds = {
             name: (row.minimum or -math.inf, row.maximum or math.inf) for name, row in torques.items()
         } | {"speed": (-speed_limit, speed_limit)}
-        self._lock = threading.Lock()
-        self._changes: dict[str, float] = {}
-        self._received: list[tuple[str, bytes]] = []
-        self._last_ns = now_ns
-        self._accepted = 0
-        self._refused = 0
-        self._last_refusal = ""
+        with self._lock:
+            self._bounds = bounds
 
     def offer(self, topic: str, changes: Mapping[str, float], data: bytes, now_ns: int) -> str:
         """Take the command message ``data`` that means ``changes``; returns why it was refused, or nothing.
 
         A message is taken as a whole or not at all; of several for one command the last counts.
         """
-        refusal = next(filter(None, (self._refusal(name, value) for name, value in changes.items())), "")
         with self._lock:
+            refusal = next(filter(None, (self._refusal(name, value) for name, value in changes.items())), "")
             if refusal:
                 self._refused += 1
                 self._last_refusal = refusal
             elif changes:
                 self._accepted += 1
                 self._last_ns = now_ns
+                self._commanded_ns.update(dict.fromkeys(changes, now_ns))
                 self._changes.update(changes)
+                self._unrecorded += len(self._received) == MOST_RECEIVED
                 self._received.append((topic, data))
         return refusal
 
     def take(self, now_ns: int) -> Delivery:
         """Everything since the last call."""
         with self._lock:
-            delivery = Delivery(self._changes, self._received, now_ns - self._last_ns)
-            self._changes, self._received = {}, []
+            delivery = Delivery(self._changes, list(self._received), now_ns - self._last_ns)
+            self._changes = {}
+            self._received.clear()
             return delivery
 
-    def restart(self, now_ns: int, *, forget: bool = False) -> None:
-        """Count the age of commands from now on; ``forget`` what has not been taken yet."""
+    def restart(self, now_ns: int) -> None:
+        """Count the age of commands from now on."""
         with self._lock:
             self._last_ns = now_ns
-            if forget:
-                self._changes, self._received = {}, []
 
-    def age(self, now_ns: int) -> float:
-        """Wall time since the last good command in s."""
+    def forget(self) -> None:
+        """Drop what has not been taken yet."""
         with self._lock:
-            return (now_ns - self._last_ns) * 1e-9
+            self._changes = {}
+            self._received.clear()
 
-    def tally(self) -> Tally:
+    def tally(self, now_ns: int) -> Tally:
         """Counts of this moment."""
         with self._lock:
-            return Tally(self._accepted, self._refused, self._last_refusal)
+            at = self._commanded_ns
+            ages = {name: (now_ns - at[name]) * 1e-9 if name in at else math.nan for name in Commands._fields}
+            return Tally(self._accepted, self._refused, self._unrecorded, self._last_refusal, ages)
 
     def _refusal(self, name: str, value: float) -> str:
         lowest, highest = self._bounds[name]
@@ -107,7 +126,7 @@ def joint_changes(
             _put(wanted, "drive_torque", effort, index)
         elif name == f"{prefix}driven":
             _put(wanted, "load_torque", effort, index)
-        else:
+        elif name != f"{prefix}mesh":  # ros2_control names every joint it has, commanded or not
             unknown.append(name)
     return wanted, unknown
 

@@ -10,15 +10,18 @@ from typing import Any, NamedTuple
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from gear_dynamics_ros.commands import Tally
-from gear_dynamics_ros.live import Live
+from gear_dynamics_ros.condition import Condition
 from gear_dynamics_ros.pacing import Pace
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics.step_check import Check
-from gear_dynamics_ros.recording.writer import Recorder, Stats
-from gear_dynamics_ros.signals import Counters
+from gear_dynamics_ros.recording.writer import Stats
+from gear_dynamics_ros.session import Session
+from gear_dynamics_ros.signals import Commands, Counters
 from gear_dynamics_ros.viewer import Viewer
 
-OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
+ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
+UNITS = {"drive_torque": "N m", "load_torque": "N m", "speed": "rad/s"}
 
 
 class RunHealth(NamedTuple):
@@ -30,7 +33,8 @@ class RunHealth(NamedTuple):
 
 class CommandHealth(NamedTuple):
     tally: Tally
-    age: float  # wall time since the last good command, s; NaN: there was none
+    in_force: Commands
+    crowded: Sequence[str]  # command topics with several publishers
     timed_out: bool
 
 
@@ -52,23 +56,25 @@ class Health(NamedTuple):
     wanted_factor: float
     commands: CommandHealth
     counters: Counters
+    condition: Condition | None
     recorder: RecorderHealth | None
     viewer: ViewerHealth | None
 
 
-def health(live: Live, recorder: Recorder | None, viewer: Viewer | None, wanted_factor: float) -> Health:
-    """How everything stands; the pace since the last call."""
+def health(session: Session, pace: Pace, viewer: Viewer | None, crowded: Sequence[str]) -> Health:
+    """How everything stands; ``pace`` since the last report, ``crowded`` topics have several publishers."""
+    live, recorder = session.live, session.recordings.current
     state = (
         "ended" if live.ended else "inactive" if not live.active else "paused" if live.paused else "running"
     )
-    tally = live.mailbox.tally()
-    age = live.mailbox.age(time.monotonic_ns()) if tally.accepted else math.nan
+    tally = live.mailbox.tally(time.monotonic_ns())
     return Health(
-        run=RunHealth(state, live.ended, live.time, live.run.completed and not live.run.tripped),
-        pace=live.pace(),
-        wanted_factor=wanted_factor,
-        commands=CommandHealth(tally, age, live.timed_out),
+        run=RunHealth(state, live.ended, live.time, session.completed),
+        pace=pace,
+        wanted_factor=session.parameters.pacing.real_time_factor,
+        commands=CommandHealth(tally, live.run.engine.commands, crowded, live.timed_out),
         counters=live.counters,
+        condition=session.condition.report(),
         recorder=None
         if recorder is None
         else RecorderHealth(str(recorder.path), recorder.stats, recorder.error),
@@ -98,6 +104,7 @@ def statuses(name: str, node: str, health: Health, waves: Surface, checks: Seque
         "pacing": _pacing(health),
         "commands": _commands(health.commands),
         "contacts": _contacts(health.counters),
+        "condition": _condition(health.run, health.condition),
         "step": _step(checks),
         "waveform": _waveform(waves),
         "recorder": _recorder(health.recorder),
@@ -139,9 +146,10 @@ def _pacing(health: Health) -> _Task:
         "real-time factor wanted": f"{health.wanted_factor:g}",
         "overruns": pace.overruns,
         "worst lateness (s)": f"{pace.worst_lateness:.6f}",
+        "slipped (s)": f"{pace.slipped:.6f}",
     }
     if health.run.state != "running":
-        return OK, health.run.state, values
+        return STALE, health.run.state, values
     if health.wanted_factor > 0.0 and pace.real_time_factor < 0.95 * health.wanted_factor:
         return WARN, "too slow: lower pacing.real_time_factor or lengthen solver.step", values
     return OK, "on time" if health.wanted_factor > 0.0 else "as fast as possible", values
@@ -149,20 +157,55 @@ def _pacing(health: Health) -> _Task:
 
 def _commands(commands: CommandHealth) -> _Task:
     tally = commands.tally
-    values = {
-        "age (s)": f"{commands.age:.3f}",
+    values: dict[str, object] = {
         "accepted": tally.accepted,
         "refused": tally.refused,
+        "unrecorded": tally.unrecorded,
         "last refusal": tally.last_refusal,
+        "several publishers": ", ".join(commands.crowded),
     }
+    for name, value in commands.in_force._asdict().items():
+        values[f"{name} ({UNITS[name]})"] = f"{value:.9g}"
+        values[f"{name} age (s)"] = f"{tally.ages[name]:.3f}"
     if commands.timed_out:
         return WARN, "no command within operation.command_timeout", values
+    if commands.crowded:
+        return (
+            WARN,
+            "several publishers on a command: of their messages the last before an edge counts",
+            values,
+        )
     return OK, f"{tally.refused} refused" if tally.refused else "all good", values
 
 
 def _contacts(counters: Counters) -> _Task:
     message = "some event searches met their limit" if counters.capped else "all events located"
     return OK, message, counters._asdict()
+
+
+def _condition(run: RunHealth, condition: Condition | None) -> _Task:
+    if condition is None:
+        return STALE, "nothing simulated yet", {}
+    values = {
+        "looked at (s)": f"{condition.span:.3g}",
+        "mean DTE (m)": f"{condition.dte_mean:.6g}",
+        "RMS of DTE (m)": f"{condition.dte_rms:.6g}",
+        "share of drive flanks": f"{condition.drive_share:.6g}",
+        "share of contact loss": f"{condition.apart_share:.6g}",
+        "share of back flanks": f"{condition.back_share:.6g}",
+        "peak bearing force, driving (N)": f"{condition.driving_peak_force:.6g}",
+        "peak bearing force, driven (N)": f"{condition.driven_peak_force:.6g}",
+        "mean drive power (W)": f"{condition.drive_power:.6g}",
+        "mean mesh loss (W)": f"{condition.mesh_loss:.6g}",
+        "mesh loss, share of drive power": f"{_share(condition.mesh_loss, condition.drive_power):.6g}",
+    }
+    if run.state != "running":
+        return STALE, run.state, values
+    return OK, "teeth in contact" if condition.apart_share < 1.0 else "teeth apart", values
+
+
+def _share(part: float, whole: float) -> float:
+    return part / whole if whole > 0.0 else math.nan
 
 
 def _step(checks: Sequence[Check]) -> _Task:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.parameters import Operation, Parameters, differences, require_changeable, updated
 from gear_dynamics_ros.physics import derived, kernel
 from gear_dynamics_ros.signals import CHANNELS, COLUMN, ENERGIES, IMPACTS, Chunk, Commands, Counters, Status
 
@@ -32,7 +34,7 @@ class Engine:
         self._interval_ns = parameters.solver.sample_interval_ns
         wanted = max(COLUMN[name] for name in parameters.waveform_channels)
         self._columns = len(CHANNELS) if wanted < len(CHANNELS) else len(COLUMN)
-        most_a_sample = kernel.STOPS_PER_STEP * parameters.solver.steps_per_sample
+        most_a_sample = kernel.IMPACTS_PER_STEP * parameters.solver.steps_per_sample
         self._impacts = np.empty((most_a_sample + IMPACTS_A_CALL, len(IMPACTS)))
         self.sample = 0
         self.reset()
@@ -60,6 +62,38 @@ class Engine:
         self._state["speed"], self._state["load_torque"] = commands.speed, commands.load_torque
         if not self._constants["governed"]:
             self._state["drive_torque"] = commands.drive_torque
+
+    def change(self, parameters: Parameters) -> None:
+        """Put ``parameters`` in force from the next sample on.
+
+        Drive torque, load torque and speed that differ become commands, the others stay in force. The
+        governor takes over and hands over at the drive torque in force. Raises UsageError, changing nothing,
+        where something differs that is fixed while the gearbox runs.
+        """
+        old = self.parameters
+        require_changeable(old, parameters)
+        # A -0.0 for a 0.0 counts as no difference, and must make none to the bits either.
+        new = updated(old, differences(old, parameters))
+        excitations = derived.excitations(new)
+        constants = derived.constants(new, excitations)
+        stored = kernel.look_before(self._constants, self._state, self._points, *self._excitations)
+        self.parameters, self._constants, self._excitations = new, constants, excitations
+        self._hand_over(old.operation, new.operation)
+        kernel.adapt(constants, self._state, self._points, *excitations, self._impacts, stored)
+
+    def _hand_over(self, old: Operation, new: Operation) -> None:
+        torque = float(self._state["drive_torque"][0])
+        commands = self.commands
+        if (old.control, new.control) == ("speed", "torque"):
+            commands = commands._replace(drive_torque=torque)
+        given = {name: getattr(new, name) for name in Commands._fields}
+        self.command(
+            commands._replace(**{name: to for name, to in given.items() if to != getattr(old, name)})
+        )
+        if new.control == "speed" and (old.control, old.governor) != (new.control, new.governor):
+            limit = new.governor.torque_limit
+            error = self.commands.speed - float(self._state["omega"][0, 0])
+            self._state["governor"] = min(max(torque, -limit), limit) - new.governor.proportional * error
 
     def advance(self, samples: int | None = None) -> Chunk:
         """The next ``samples`` samples (default: a chunk); fewer if the run ends in them.
@@ -122,25 +156,27 @@ class Engine:
             "state": {name: self._state[name][0].tolist() for name in _STATE_NAMES},
         }
 
-    def restore(self, checkpoint: dict[str, Any]) -> None:
-        """Go on from ``checkpoint``. Raises GearboxError, changing nothing, if it can't be one."""
-        try:
-            form = checkpoint["format"]
-            if form != CHECKPOINT_FORMAT:
-                raise GearboxError(
-                    f"the checkpoint has format {form}, this version reads {CHECKPOINT_FORMAT}: "
-                    "use the version that wrote it"
-                )
-            state = derived.aligned_zeros((1,), kernel.STATE)
-            for name in _STATE_NAMES:
-                state[name] = checkpoint["state"][name]
-            commands = Commands(**checkpoint["commands"])
-            sample, status = int(checkpoint["sample"]), Status(checkpoint["status"])
-        except (KeyError, TypeError, ValueError) as error:
-            raise GearboxError(f"the checkpoint lacks or spoils an entry: {error!r}") from error
-        self._state = state
-        self.sample, self.status = sample, status
-        self.commands = commands
+    def restore(self, checkpoint: Mapping[str, Any]) -> None:
+        """Go on from ``checkpoint`` at its sample, with the parameters that were in force there.
+
+        Raises GearboxError, changing nothing, if it can't be one.
+        """
+        self._take(_read_checkpoint(checkpoint))
+
+    def resume(self, checkpoint: Mapping[str, Any]) -> None:
+        """Go on from the state of ``checkpoint`` while simulated time goes on too.
+
+        All comes out as after ``restore``, at other times. Raises GearboxError, changing nothing, if it can't
+        be one, or is of a run that had ended.
+        """
+        found = _read_checkpoint(checkpoint)
+        if found.status is not Status.RUNNING:
+            raise GearboxError("the checkpoint is of a run that had ended: take an earlier one")
+        found.state["impact_time"] += (self.sample - found.sample) * self._interval_ns / 1e9
+        self._take(found._replace(sample=self.sample))
+
+    def _take(self, found: _Checkpoint) -> None:
+        self.sample, self.status, self.commands, self._state = found
 
     def _reason(self) -> str:
         if self.status is Status.OVER_SPEED:
@@ -159,4 +195,28 @@ class Engine:
         return ""
 
 
+class _Checkpoint(NamedTuple):
+    sample: int
+    status: Status
+    commands: Commands
+    state: NDArray[Any]
+
+
 _STATE_NAMES = kernel.STATE.names or ()
+
+
+def _read_checkpoint(checkpoint: Mapping[str, Any]) -> _Checkpoint:
+    try:
+        form = checkpoint["format"]
+        if form != CHECKPOINT_FORMAT:
+            raise GearboxError(
+                f"the checkpoint has format {form}, this version reads {CHECKPOINT_FORMAT}: "
+                "use the version that wrote it"
+            )
+        state = derived.aligned_zeros((1,), kernel.STATE)
+        for name in _STATE_NAMES:
+            state[name] = checkpoint["state"][name]
+        commands = Commands(**{name: float(value) for name, value in checkpoint["commands"].items()})
+        return _Checkpoint(int(checkpoint["sample"]), Status(checkpoint["status"]), commands, state)
+    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
+        raise GearboxError(f"the checkpoint lacks or spoils an entry: {error!r}") from error

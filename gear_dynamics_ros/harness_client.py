@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 import json
+import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import NamedTuple
+from types import FrameType
+from typing import Any, NamedTuple
 
 import rclpy
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64, Float64MultiArray, String
 
+from gear_dynamics_ros.discovery import stay_local
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.harness import Player, Profile, Result
+from gear_dynamics_ros.harness.player import Player
+from gear_dynamics_ros.harness.profile import Profile
+from gear_dynamics_ros.harness.results import Result, unreached
 from gear_dynamics_ros.messages import TOPICS, resolve, waveform_samples
 from gear_dynamics_ros.node_topics import quality
 
@@ -36,6 +43,7 @@ class Outcome(NamedTuple):
     results: tuple[Result, ...]
     published: int
     failure: str
+    signal: int  # the number of the signal that broke the run off, 0 if none did
 
 
 def play(
@@ -46,28 +54,54 @@ def play(
     watch: Callable[[Player], None],
     ros_arguments: Sequence[str] = (),
 ) -> Outcome:
-    """Play ``profile`` to the gearbox with the full name ``node``; ``watch`` is called after each chunk.
+    """Play ``profile`` to the gearbox with the full name ``node``; ``watch`` is called when chunks have come.
 
-    Waits ``wait`` s for the gearbox to be ready, and later at most ``timeout`` s for its next chunk.
-    Raises UsageError on an impossible name, GearboxError where no gearbox is there or it can't be followed.
+    Waits ``wait`` s for the gearbox to be ready, then at most ``timeout`` s for each answer and chunk.
+    SIGINT and SIGTERM break the run off; call it on the main thread. Raises UsageError on an impossible name.
     """
-    with _session(profile, node, watch, ros_arguments) as session:
-        session.join(wait)
-        failure = session.follow(timeout)
+    with _signals() as received, _session(profile, node, watch, received, ros_arguments) as session:
+        failure = ""
+        try:
+            session.join(wait)
+            session.configure(timeout)
+            session.follow(timeout)
+        except GearboxError as error:
+            failure = str(error)
         return session.outcome(failure)
 
 
 @contextmanager
+def _signals() -> Iterator[list[int]]:
+    """The signals that came, which so break nothing off by themselves: rclpy's waits here are short."""
+    received: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
 def _session(
-    profile: Profile, node: str, watch: Callable[[Player], None], ros_arguments: Sequence[str]
+    profile: Profile,
+    node: str,
+    watch: Callable[[Player], None],
+    received: Sequence[int],
+    ros_arguments: Sequence[str],
 ) -> Iterator[_Session]:
+    stay_local()
     context = Context()
     try:
         rclpy.init(args=list(ros_arguments), context=context, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # what rclpy raises on arguments it can't read
         raise UsageError(f"ROS did not start: {' '.join(str(error).split())}") from error
     try:
-        yield _Session(context, profile, node, watch)
+        yield _Session(context, profile, node, watch, received)
     except InvalidTopicNameException as error:
         raise UsageError(f"--node is {node!r}, no name of a ROS node: give one like /gearbox") from error
     finally:
@@ -78,20 +112,29 @@ class _Session:
     """One run: subscriptions, publishers and the player between them, all on the caller's thread."""
 
     def __init__(
-        self, context: Context, profile: Profile, node: str, watch: Callable[[Player], None]
+        self,
+        context: Context,
+        profile: Profile,
+        node: str,
+        watch: Callable[[Player], None],
+        received: Sequence[int],
     ) -> None:
         self._name = node
         self._profile = profile
         self._watch = watch
+        self._received = received
         self._ros = Node("drive", context=context)
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self._ros)
         self._publishers = {name: self._command_publisher(name) for name in profile.commands}
         self._waveform = self._ros.create_subscription(
-            Float64MultiArray, self._topic("waveform"), self._take_chunk, quality(TOPICS["waveform"])
+            Float64MultiArray, self._topic("waveform"), self._take_chunks, quality(TOPICS["waveform"])
         )
         self._events = self._ros.create_subscription(
             String, self._topic("event"), self._take_event, quality(TOPICS["event"])
+        )
+        self._parameters: Any = self._ros.create_client(
+            SetParametersAtomically, f"{node}/set_parameters_atomically"
         )
         self._player: Player | None = None
         self._joined = False
@@ -102,39 +145,70 @@ class _Session:
         self._published = 0
 
     def join(self, wait: float) -> None:
-        """Return once the gearbox listens to every command of the profile and sends its waveform."""
+        """Return once the gearbox takes everything the profile sets and sends its waveform."""
         deadline = time.monotonic() + wait
         while not self._ready():
             left = deadline - time.monotonic()
             if left <= 0.0:
                 raise GearboxError(self._absence(wait))
-            self._executor.spin_once(timeout_sec=min(POLL, left))
+            self._spin(left)
+
+    def configure(self, timeout: float) -> None:
+        """Set the profile's parameters, all or none."""
+        if self._profile.parameters:
+            request = SetParametersAtomically.Request()
+            request.parameters = [
+                Parameter(name, value=value).to_parameter_msg()
+                for name, value in self._profile.parameters.items()
+            ]
+            answer = self._answer(self._parameters.call_async(request), timeout)
+            if not answer.result.successful:
+                raise GearboxError(
+                    f"{self._name} refused the profile's parameters: {' '.join(answer.result.reason.split())}"
+                )
         self._joined = True
         self._last_chunk = time.monotonic()
 
-    def follow(self, timeout: float) -> str:
-        """Play to the end of the profile; returns why that end was not reached, or nothing."""
+    def follow(self, timeout: float) -> None:
+        """Return when the profile was played to its end."""
         while not (self._player is not None and self._player.finished):
-            try:
-                self._executor.spin_once(timeout_sec=POLL)
-            except GearboxError as error:
-                return str(error)
+            self._spin(POLL)
             silence = time.monotonic() - self._last_chunk
             if silence > min(DRAIN, timeout) and (self._ended or not self._senders()):
-                return self._ending()
+                raise GearboxError(self._ending())
             if silence > timeout:
-                return (
+                raise GearboxError(
                     f"{self._name} sent no waveform for {timeout:g} s after {self._progress()}: "
                     "see whether it is paused, stuck or killed, or give a longer --timeout"
                 )
-        return ""
+
+    def _spin(self, longest: float) -> None:
+        """Serve what comes within ``longest`` s, POLL s at most."""
+        if self._received:
+            name = signal.Signals(self._received[0]).name
+            raise GearboxError(f"interrupted by {name} at {self._progress()}")
+        self._executor.spin_once(timeout_sec=min(POLL, longest))
+
+    def _answer(self, future: Any, timeout: float) -> Any:
+        deadline = time.monotonic() + timeout
+        while not future.done():
+            left = deadline - time.monotonic()
+            if left <= 0.0:
+                raise GearboxError(
+                    f"{self._name} did not say within {timeout:g} s whether it takes the parameters: "
+                    "see its log, or give a longer --timeout"
+                )
+            self._spin(left)
+        return future.result()
 
     def outcome(self, failure: str) -> Outcome:
         """The results so far; the last commands are on their way by then."""
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=DRAIN))
-        results = self._profile.unreached() if self._player is None else self._player.results()
-        return Outcome(results, self._published, failure)
+        player = self._player
+        results = unreached(self._profile.expectations) if player is None else player.results()
+        number = self._received[0] if failure and self._received else 0
+        return Outcome(results, self._published, failure, number)
 
     @property
     def _ended(self) -> str:
@@ -155,8 +229,11 @@ class _Session:
     def _listening(self) -> bool:
         return all(publisher.get_subscription_count() for publisher in self._publishers.values())
 
+    def _settable(self) -> bool:
+        return not self._profile.parameters or bool(self._parameters.service_is_ready())
+
     def _ready(self) -> bool:
-        return self._last_chunk > 0.0 and self._listening()
+        return self._last_chunk > 0.0 and self._listening() and self._settable()
 
     def _absence(self, wait: float) -> str:
         if not self._senders():
@@ -168,6 +245,8 @@ class _Session:
             return (
                 f"{self._name} does not listen to {', '.join(self._publishers)} after {wait:g} s: see its log"
             )
+        if not self._settable():
+            return f"{self._name} offers no service to set its parameters after {wait:g} s: see its log"
         told = f" It said: {self._ended}." if self._ended else ""
         return (
             f"{self._name} is there, but sent no waveform for {wait:g} s: it may be starting, inactive, "
@@ -188,6 +267,23 @@ class _Session:
         if event["event"] == "end":
             self._end = (float(event["time"]), str(event["message"]) or "no reason given")
 
+    def _take_chunks(self, message: Float64MultiArray) -> None:
+        """Take all chunks that wait, then say what is due now.
+
+        An executor turns once for each message, which costs more than the chunk itself: after a hold-up the
+        harness would stay behind.
+        """
+        self._take_chunk(message)
+        with self._waveform.handle as waiting:
+            for _ in range(TOPICS["waveform"].depth):
+                taken = waiting.take_message(Float64MultiArray, False)
+                if taken is None:
+                    break
+                self._take_chunk(taken[0])
+        if self._player is not None:
+            self._publish(self._player.commands())
+            self._watch(self._player)
+
     def _take_chunk(self, message: Float64MultiArray) -> None:
         channels, samples = waveform_samples(message)
         self._last_chunk = time.monotonic()
@@ -196,8 +292,7 @@ class _Session:
             return
         if self._player is None:
             self._player = Player(self._profile, channels)
-        self._publish(self._player.feed(samples))
-        self._watch(self._player)
+        self._player.feed(samples)
 
     def _publish(self, values: dict[str, float]) -> None:
         now = time.monotonic()

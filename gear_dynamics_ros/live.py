@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 from gear_dynamics_ros.commands import Mailbox
@@ -15,7 +16,7 @@ from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages import Record
 from gear_dynamics_ros.pacing import Pace, Pacer
-from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.parameters import Operation, Parameters
 from gear_dynamics_ros.run import PAUSE, RESUME, Run
 from gear_dynamics_ros.signals import Chunk, Counters
 from gear_dynamics_ros.threads import name_thread
@@ -23,6 +24,25 @@ from gear_dynamics_ros.threads import name_thread
 PATIENCE = 2.0  # s of silence while the kernel compiles
 T = TypeVar("T")
 RELEASED = {"drive_torque": 0.0, "load_torque": 0.0}
+
+
+@dataclass(slots=True)
+class Steps:
+    """Chunks to make while paused; ``done`` gets the simulated time in s, or why they were given up."""
+
+    chunks: int
+    timeout: float  # s of wall time
+    began_ns: int
+    made: int = 0
+    done: Future[float] = field(default_factory=Future)
+
+    def expired(self, now_ns: int) -> bool:
+        """Whether the time is up."""
+        return now_ns - self.began_ns > self.timeout * 1e9
+
+    def give_up(self, reason: str) -> None:
+        """Fail with the reason."""
+        self.done.set_exception(GearboxError(f"{reason} after {self.made} of {self.chunks} chunks"))
 
 
 class Live:
@@ -40,19 +60,20 @@ class Live:
         self.mailbox = mailbox
         self._after_chunk = after_chunk
         self._on_end = on_end
-        self._operation = run.engine.parameters.operation
         solver = run.engine.parameters.solver
         self._interval_ns = solver.sample_interval_ns
         self._chunk_ns = solver.samples_per_chunk * self._interval_ns
-        self._pacer = Pacer(run.engine.parameters.pacing.real_time_factor, time.monotonic_ns())
+        self._pacer = Pacer(run.engine.parameters.pacing, time.monotonic_ns())
         self._requests: deque[Callable[[], None]] = deque()
         self._wake = threading.Condition()
         self._figures = threading.Lock()
         self._stopping = False
         self._thread: threading.Thread | None = None
         self._paused = False
+        self._steps: Steps | None = None
         self._timed_out = False
         self._failure = ""
+        self._end_told = False
         self.counters = Counters(0, 0, 0, 0, 0)
 
     @property
@@ -83,9 +104,7 @@ class Live:
     def start(self) -> None:
         """Begin, or go on where ``stop`` left."""
         self._stopping = False
-        now = time.monotonic_ns()
-        self._pacer.restart(now)
-        self.mailbox.restart(now)
+        self._restart_clocks()
         self._thread = threading.Thread(target=self._work, name="engine", daemon=True)
         self._thread.start()
 
@@ -100,9 +119,9 @@ class Live:
         self._thread = None
 
     def call(self, action: Callable[[], T]) -> T:
-        """Result of ``action``, done on the engine's thread between two chunks; raises what it raises."""
+        """Result of ``action``, done between two chunks; raises what it raises."""
         if not self.active:
-            raise GearboxError("the gearbox is not active: activate it first")
+            return action()
         future: Future[T] = Future()
 
         def serve() -> None:
@@ -116,42 +135,80 @@ class Live:
 
     def post(self, records: Sequence[Record]) -> None:
         """Let ``records`` go to the sinks between two chunks, without waiting for it."""
-        self._request(lambda: self.run.emit(records))
+        if self.active:
+            self._request(lambda: self.run.emit(records))
+        else:
+            self.run.emit(records)
+
+    def step(self, chunks: int, timeout: float) -> Future[float]:
+        """Make ``chunks`` chunks while paused, as fast as possible; the future gets the simulated time in s.
+
+        Raises GearboxError if the run isn't paused, steps already or has ended; the future fails with it if
+        the run is resumed, reset, stopped or ends meanwhile, or after ``timeout`` s of wall time.
+        """
+        steps = Steps(chunks, timeout, time.monotonic_ns())
+        self.call(lambda: self._begin(steps))
+        return steps.done
 
     def pause(self, paused: bool) -> bool:
         """Stand still, or go on; returns whether that changed anything. For ``call``."""
         if paused == self._paused:
             return False
         self._paused = paused
+        self._give_up_steps("aborted: resumed")
         self.run.note(PAUSE if paused else RESUME)
-        now = time.monotonic_ns()
-        self._pacer.restart(now)
-        self.mailbox.restart(now)
+        self._restart_clocks()
         return True
 
-    def single_step(self) -> None:
-        """One chunk while paused. For ``call``; raises GearboxError if not paused or ended."""
-        if not self._paused:
-            raise GearboxError("not paused: ~/step makes one chunk while paused, call ~/pause first")
-        self._step()
-
-    def reset(self) -> None:
-        """Start state, commands and clockwork of the beginning. For ``call``."""
-        now = time.monotonic_ns()
+    def restart(self, begin: Callable[[], None]) -> None:
+        """Let ``begin`` put the run somewhere; clocks and mailbox are as at the beginning. For ``call``."""
+        begin()
+        self._give_up_steps("aborted: reset")
         self._failure = ""
+        self._end_told = False
         self._timed_out = False
-        self.mailbox.restart(now, forget=True)
-        self.run.reset()
-        self._pacer.restart(now)
+        self.mailbox.forget()
+        self._restart_clocks()
 
-    def set_factor(self, real_time_factor: float) -> None:
-        """Go on at another pace from the next chunk edge on."""
-        self._request(lambda: self._pacer.restart(time.monotonic_ns(), real_time_factor))
+    def change(self, parameters: Parameters) -> None:
+        """Go on with ``parameters``. For ``call``; raises UsageError where one of them is fixed."""
+        pacing = self.run.engine.parameters.pacing
+        self.run.change(parameters)
+        self.mailbox.limit(parameters)
+        if parameters.pacing != pacing:
+            with self._figures:
+                self._pacer.change(parameters.pacing, time.monotonic_ns())
 
     def pace(self) -> Pace:
         """Figures since the last call."""
         with self._figures:
             return self._pacer.report(time.monotonic_ns())
+
+    @property
+    def _operation(self) -> Operation:
+        return self.run.engine.parameters.operation
+
+    def _restart_clocks(self) -> None:
+        now = time.monotonic_ns()
+        with self._figures:
+            self._pacer.restart(now)
+        self.mailbox.restart(now)
+
+    def _begin(self, steps: Steps) -> None:
+        if not self._paused:
+            raise GearboxError("not paused: ~/step makes chunks while paused, call ~/pause first")
+        if self.ended:
+            raise GearboxError(f"the run has ended ({self.ended}): call ~/reset first")
+        if self._steps is not None:
+            raise GearboxError(
+                f"stepping already, {self._steps.made} of {self._steps.chunks} chunks are made: wait for it"
+            )
+        self._steps = steps
+
+    def _give_up_steps(self, reason: str) -> None:
+        steps, self._steps = self._steps, None
+        if steps is not None:
+            steps.give_up(reason)
 
     def _request(self, action: Callable[[], None]) -> None:
         with self._wake:
@@ -160,15 +217,28 @@ class Live:
 
     def _work(self) -> None:
         name_thread()
-        while self._wait():
+        going = True
+        while going:
             try:
-                self._step()
+                going = self._wait()
+                if going:
+                    self._make()
             except Exception as error:
                 # The node must stay to tell; a reset may recover.
                 self._failure = str(error) or repr(error)
                 with contextlib.suppress(Exception):  # the sink that failed may fail again
                     self.run.finish(self._failure)
+            if self.ended and not self._end_told:
+                self._end_told = True
+                self._give_up_steps(f"aborted: {self.ended}")
                 self._on_end()
+        self._give_up_steps("aborted: deactivated")
+
+    def _make(self) -> None:
+        if self._steps is None:
+            self._paced_chunk()
+        else:
+            self._stepped_chunk(self._steps)
 
     def _wait(self) -> bool:
         """Serve requests until a chunk is due; False if the thread is to end."""
@@ -188,28 +258,52 @@ class Live:
 
     def _patience(self) -> float | None:
         """Wall time until a chunk is due in s; None while there is nothing to do."""
-        if self._paused or self.ended:
+        if self.ended:
             return None
+        if self._paused:
+            return None if self._steps is None else 0.0
         return self._pacer.wait_ns(self._chunk_ns, time.monotonic_ns()) * 1e-9
 
-    def _step(self) -> None:
+    def _paced_chunk(self) -> None:
         now = time.monotonic_ns()
         with self._figures:
             self._pacer.begun(self._chunk_ns, now)
         delivery = self.mailbox.take(now)
-        changes = delivery.changes
         timeout = self._operation.command_timeout
         self._timed_out = timeout > 0.0 and delivery.age_ns > timeout * 1e9
-        if self._timed_out and self._operation.on_timeout == "release":
-            changes = {**changes, **RELEASED}
+        released = RELEASED if self._timed_out and self._operation.on_timeout == "release" else {}
+        chunk = self._chunk({**delivery.changes, **released}, delivery.received)
+        with self._figures:
+            late_ns = self._pacer.done(len(chunk) * self._interval_ns, time.monotonic_ns())
+        if late_ns:
+            self._overrun(late_ns)
+
+    def _stepped_chunk(self, steps: Steps) -> None:
+        now = time.monotonic_ns()
+        if steps.expired(now):
+            self._give_up_steps(f"timed out: {steps.timeout:g} s (stepping.timeout) are over")
+            return
+        delivery = self.mailbox.take(now)
+        self._chunk(delivery.changes, delivery.received)
+        steps.made += 1
+        if steps.made == steps.chunks:
+            self._steps = None
+            steps.done.set_result(self.time)
+
+    def _chunk(self, changes: dict[str, float], received: Sequence[tuple[str, bytes]]) -> Chunk:
         commands = self.run.engine.commands._replace(**changes) if changes else None
-        chunk = self.run.step(commands, delivery.received)
+        chunk = self.run.step(commands, received)
         self.counters = chunk.counters
         self.run.emit(self._after_chunk(chunk))
-        with self._figures:
-            self._pacer.done(len(chunk) * self._interval_ns, time.monotonic_ns())
-        if self.run.end:
-            self._on_end()
+        return chunk
+
+    def _overrun(self, late_ns: int) -> None:
+        pacing = self.run.engine.parameters.pacing
+        if pacing.on_overrun == "error":
+            self.run.finish(
+                f"overrun: at {self.time:.9g} s a chunk was {late_ns * 1e-6:.3g} ms late and "
+                "pacing.on_overrun = 'error': lower pacing.real_time_factor or take 'slip'"
+            )
 
 
 def warm_up(parameters: Parameters, say: Callable[[str], object]) -> None:
@@ -219,7 +313,9 @@ def warm_up(parameters: Parameters, say: Callable[[str], object]) -> None:
     began = time.perf_counter()
     notice.start()
     try:
-        Engine(parameters).advance(1)
+        engine = Engine(parameters)
+        engine.advance(1)
+        engine.change(parameters)
     finally:
         notice.cancel()
     elapsed = time.perf_counter() - began

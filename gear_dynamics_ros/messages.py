@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_typestore
 
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.signals import CHANNELS, COLUMN, ENERGIES, IMPACTS, Chunk, Commands, Counters
+from gear_dynamics_ros.signals import CHANNELS, COLUMN, ENERGIES, IMPACTS, PACE, Chunk, Commands, Counters
 
 TYPESTORE: Final = get_typestore(Stores.ROS2_JAZZY)
 
@@ -43,23 +43,26 @@ STRING = "std_msgs/msg/String"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 ARRAY = "std_msgs/msg/Float64MultiArray"
+CLOCK = "rosgraph_msgs/msg/Clock"
 
 # A subscriber that stalls for a second at the default 500 Hz still gets every chunk of the waveform.
 WAVEFORM_DEPTH = 500
+# A burst must not push out what another publisher commanded just before it.
+COMMAND_DEPTH = 100
 
 TOPICS: Final[dict[str, Topic]] = {
     "drive_torque_command": Topic(
-        "~/command/drive_torque", FLOAT64, True, 10, False, "drive torque to apply, N m"
+        "~/command/drive_torque", FLOAT64, True, COMMAND_DEPTH, False, "drive torque to apply, N m"
     ),
     "load_torque_command": Topic(
-        "~/command/load_torque", FLOAT64, True, 10, False, "load torque to apply, N m"
+        "~/command/load_torque", FLOAT64, True, COMMAND_DEPTH, False, "load torque to apply, N m"
     ),
-    "speed_command": Topic("~/command/speed", FLOAT64, True, 10, False, "speed set-point, rad/s"),
+    "speed_command": Topic("~/command/speed", FLOAT64, True, COMMAND_DEPTH, False, "speed set-point, rad/s"),
     "joint_command": Topic(
         "~/command/joint",
         JOINT_STATE,
         True,
-        10,
+        COMMAND_DEPTH,
         False,
         "driving: velocity = set-point rad/s, effort = drive torque N m; driven: effort = load torque N m",
     ),
@@ -103,7 +106,15 @@ TOPICS: Final[dict[str, Topic]] = {
     "diagnostics": Topic(
         "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", True, 10, False, "health of engine and sinks"
     ),
-    "clock": Topic("/clock", "rosgraph_msgs/msg/Clock", False, 1, False, "simulated time"),
+    "pacing": Topic(
+        "~/pacing",
+        ARRAY,
+        True,
+        10,
+        False,
+        "once a second: real-time factor reached, overruns, lateness, slip",
+    ),
+    "clock": Topic("/clock", CLOCK, False, 1, False, "simulated time"),
     "applied_command": Topic(
         "~/command/applied",
         JOINT_STATE,
@@ -112,13 +123,21 @@ TOPICS: Final[dict[str, Topic]] = {
         True,
         "commands in force, stamped at the sample where they take effect; laid out like ~/command/joint",
     ),
+    "model_info": Topic(
+        "~/model_info",
+        STRING,
+        True,
+        1,
+        True,
+        "JSON: version, kernel hash, parameters in force, columns and units, joints, frames, epoch of stamps",
+    ),
     "event": Topic(
         "~/event",
         STRING,
         True,
         10,
         True,
-        "JSON: sample, time (s), event, message, counters (steps, located events, capped searches ...)",
+        "JSON: sample, time (s), event, message, counters; parameters that changed, a restored checkpoint",
     ),
 }
 
@@ -222,6 +241,7 @@ class Encoder:
         self._waveform = _Packer("sample", self._channels)
         self._energy = _Packer("sample", [energy.name for energy in ENERGIES])
         self._impacts = _Packer("impact", [entry.name for entry in IMPACTS])
+        self._pacing = _Packer("report", [entry.name for entry in PACE])
         self._joint_state = _Stamped(_still(self._joints, len(self._joints)), _JOINT_NUMBERS)
         self._applied = _Stamped(_still(self._shafts, 0), _APPLIED_NUMBERS)
         self._bearings = {
@@ -263,13 +283,31 @@ class Encoder:
         )
         return Record("applied_command", time_ns, data)
 
-    def event(self, kind: str, sample: int, message: str, counters: Counters) -> Record:
-        """An event (reset, pause, resume, end ...) that happened before ``sample`` was made."""
+    def event(
+        self, kind: str, sample: int, message: str, counters: Counters, **details: Mapping[str, Any]
+    ) -> Record:
+        """An event (reset, pause, resume, end ...) that happened before ``sample`` was made.
+
+        ``details`` are entries of its own, such as the parameters that changed.
+        """
         elapsed_ns = sample * self._interval_ns
         content = {"sample": sample, "time": elapsed_ns / 1e9, "event": kind, "message": message}
-        text = json.dumps(content | {"counters": counters._asdict()})
+        text = json.dumps(content | {"counters": counters._asdict()} | details)
         data = serialize(STRING, message_class(STRING)(data=text))
         return Record("event", self._epoch_ns + elapsed_ns, data)
+
+    def pacing(self, time_ns: int, row: Sequence[float]) -> Record:
+        """A row of PACE."""
+        data = self._pacing.pack(np.array([row], dtype=np.float64))
+        return Record("pacing", time_ns, data)
+
+    def model_info(self, time_ns: int, text: str) -> Record:
+        """Description of the model from ``time_ns`` on."""
+        return Record("model_info", time_ns, serialize(STRING, message_class(STRING)(data=text)))
+
+    def clock(self, time_ns: int) -> Record:
+        """Simulated time for others to follow."""
+        return Record("clock", time_ns, serialize(CLOCK, message_class(CLOCK)(clock=stamp(time_ns))))
 
     def _joint_states(self, time_ns: int, last: dict[str, float], angles: list[float]) -> bytes:
         return self._joint_state.pack(

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import sys
 from array import array
+from collections.abc import Sequence
 from typing import Any, cast
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from gear_dynamics_ros.parameters import Parameters, Specification, specifications
+from gear_dynamics_ros.parameters import Parameters, Specification, differences, specifications, updated
 
 # Declared by rclpy for every node, or by whoever overrides a quality of service.
 FOREIGN = ("use_sim_time", "start_type_description_service")
@@ -55,6 +56,18 @@ def integers_to_floats(parameters: list[Parameter]) -> list[Parameter]:
         return Parameter(parameter.name, Parameter.Type.DOUBLE, value)
 
     return [converted(parameter) for parameter in parameters]
+
+
+def changed(parameters: Parameters, given: Sequence[Parameter]) -> Parameters:
+    """``parameters`` with the values ``given`` to the node; raises UsageError if they can't be together."""
+    rows = specifications()
+    values = {parameter.name: _plain(parameter.value) for parameter in given if parameter.name in rows}
+    return updated(parameters, values)
+
+
+def to_set(old: Parameters, new: Parameters) -> list[Parameter]:
+    """What to set on the node to come from ``old`` to ``new``."""
+    return [Parameter(name, value=_listed(value)) for name, value in differences(old, new).items()]
 
 
 def _plain(value: Any) -> Any:

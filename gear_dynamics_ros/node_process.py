@@ -13,6 +13,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args, try_shutdown
 
 from gear_dynamics_ros.cli.common import guarded
+from gear_dynamics_ros.discovery import stay_local
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.live import warm_up
 from gear_dynamics_ros.node import GearboxNode
@@ -41,6 +42,7 @@ def _own_arguments(argv: Sequence[str] | None) -> list[str] | None:
 
 
 def _serve(argv: Sequence[str] | None, signals: Signals) -> int:
+    stay_local()
     try:
         rclpy.init(
             args=None if argv is None else ["gearbox", *argv], signal_handler_options=SignalHandlerOptions.NO

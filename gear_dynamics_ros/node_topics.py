@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from typing import Any, cast
 
+from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -41,13 +42,14 @@ class PublisherSink:
         """Publishers belong to the node."""
 
 
-def create_publishers(node: Node, *, clock: bool) -> dict[str, Publisher]:
+def create_publishers(node: Node, group: CallbackGroup, *, clock: bool) -> dict[str, Publisher]:
     """A publisher for each output, by its key in TOPICS; parameters may override quality of service."""
     return {
         key: node.create_publisher(
             message_type(topic.type),
             topic.name,
             quality(topic),
+            callback_group=group,
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
         for key, topic in TOPICS.items()
@@ -55,7 +57,9 @@ def create_publishers(node: Node, *, clock: bool) -> dict[str, Publisher]:
     }
 
 
-def create_subscriptions(node: Node, take: Callable[[str, Any, bytes], None]) -> list[Subscription]:
+def create_subscriptions(
+    node: Node, group: CallbackGroup, take: Callable[[str, Any, bytes], None]
+) -> list[Subscription]:
     """A subscription for each command; ``take`` gets key, message and the message as it came, in CDR."""
 
     def subscribe(key: str) -> Subscription:
@@ -65,10 +69,17 @@ def create_subscriptions(node: Node, take: Callable[[str, Any, bytes], None]) ->
             topic.name,
             lambda data: take(key, deserialize(topic.type, cast(bytes, data)), cast(bytes, data)),
             quality(topic),
+            callback_group=group,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             raw=True,
         )
 
     return [subscribe(key) for key in COMMANDS]
+
+
+def command_names(node: Node) -> list[str]:
+    """Names of the command topics, remapping considered."""
+    return [node.resolve_topic_name(TOPICS[key].name) for key in COMMANDS]
 
 
 def quality(topic: Topic) -> QoSProfile:

@@ -521,6 +521,16 @@ def differences(old: Parameters, new: Parameters) -> dict[str, Value]:
     return {name: value for name, value in new.to_flat().items() if value != before[name]}
 
 
+def updated(parameters: Parameters, values: Mapping[str, object]) -> Parameters:
+    """``parameters`` with ``values`` by dotted name. Raises UsageError as ``Parameters.from_flat`` does."""
+    return Parameters.from_flat({**parameters.to_flat(), **values})
+
+
+def read_settings(overrides: Iterable[str]) -> dict[str, Any]:
+    """Values by dotted name of settings ``name=value``. Raises UsageError if one is none."""
+    return dict(map(_read_override, overrides))
+
+
 def require_changeable(old: Parameters, new: Parameters) -> None:
     """Raise UsageError where ``new`` differs from ``old`` in what is fixed while the gearbox runs."""
     before = old.to_flat()
@@ -538,11 +548,11 @@ def load(path: str | Path, overrides: Iterable[str] = ()) -> Parameters:
     Both are read as rcl reads them. Sections of other nodes are left alone. Raises UsageError if the file
     can't be read or what it and the settings make together can't be.
     """
-    settings = [_read_override(override) for override in overrides]
+    settings = read_settings(overrides)
     try:
-        return Parameters.from_flat({**_read_file(_read_text(Path(path))), **dict(settings)})
+        return Parameters.from_flat({**_read_file(_read_text(Path(path))), **settings})
     except UsageError as error:
-        source = " with ".join([str(path), *(name for name, _ in settings)])
+        source = " with ".join([str(path), *settings])
         raise UsageError(f"{source}: {error}") from None
 
 

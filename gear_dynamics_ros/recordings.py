@@ -8,7 +8,6 @@ from pathlib import Path
 
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages import Record
-from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.run import Run
 from gear_dynamics_ros.signals import Chunk
@@ -30,10 +29,9 @@ class RecorderSink:
 class Recordings:
     """Starts and ends recordings of ``run``; the first at ``path``, later ones beside it."""
 
-    def __init__(self, path: str, run: Run, parameters: Parameters, epoch_ns: int, node: str) -> None:
-        self._path = Path(path) if path else None
+    def __init__(self, path: str, run: Run, epoch_ns: int, node: str) -> None:
+        self._path = Path(path).absolute() if path else None
         self._run = run
-        self._parameters = parameters
         self._epoch_ns = epoch_ns
         self._node = node
         self._sink: RecorderSink | None = None
@@ -59,7 +57,8 @@ class Recordings:
         if self._sink is not None:
             raise GearboxError(f"already recording to {self._sink.recorder.path}: switch it off first")
         path = _free(self._path) if beside else self._path
-        recorder = Recorder(path, self._parameters, self._run.checkpoint(), self._epoch_ns, self._node)
+        parameters = self._run.engine.parameters
+        recorder = Recorder(path, parameters, self._run.checkpoint(), self._epoch_ns, self._node)
         self._sink = RecorderSink(recorder)
         self._run.attach(self._sink)
         return str(recorder.path)
@@ -68,7 +67,7 @@ class Recordings:
         """Go on in a new file. Raises GearboxError if nothing is recorded."""
         if self._sink is None:
             raise GearboxError("nothing is recorded: call ~/record first")
-        self._sink.recorder.split(self._run.checkpoint())
+        self._sink.recorder.split(self._run.checkpoint(), self._run.engine.parameters)
 
     def end(self) -> Recorder | None:
         """Record no more; the caller closes what is returned."""

@@ -1,8 +1,9 @@
-"""Re-simulate a recording from its start state and commands, and compare every sample bit for bit."""
+"""Re-simulate a recording from its start state with all that was done, and compare every sample's bits."""
 
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -11,10 +12,10 @@ from numpy.typing import NDArray
 
 from gear_dynamics_ros import __version__
 from gear_dynamics_ros.engine import Engine, kernel_hash
-from gear_dynamics_ros.recording.reader import Recording
+from gear_dynamics_ros.parameters import updated
+from gear_dynamics_ros.recording.reader import Event, Recording
+from gear_dynamics_ros.run import CHANGE, RESET, RESTORE
 from gear_dynamics_ros.signals import COLUMN, Commands
-
-RESET = "reset"
 
 
 class Difference(NamedTuple):
@@ -36,7 +37,9 @@ class Verification(NamedTuple):
 
 
 def verify(recording: Recording, progress: Callable[[int], None] | None = None) -> Verification:
-    """Run the model again from the recording's start state with its commands and resets at their samples.
+    """Run the model again from the recording's start state.
+
+    Its commands, changes of parameters, restored checkpoints and resets act at their samples.
 
     ``progress`` is called with the number of samples compared so far.
     """
@@ -72,21 +75,31 @@ def origins(recording: Recording) -> list[str]:
     return [f"{name}: recorded by {theirs}, this is {ours}" for name, theirs, ours in pairs if theirs != ours]
 
 
-def _actions(recording: Recording) -> list[tuple[int, Commands | None]]:
-    """Commands, and resets as None, by sample; a reset comes before the commands of its sample."""
-    resets = [(event.sample, 0, None) for event in recording.events if event.kind == RESET]
-    commands = [(sample, 1, values) for sample, values in recording.commands]
-    ordered = sorted([*resets, *commands], key=lambda action: action[:2])
-    return [(sample, values) for sample, _, values in ordered]
+def _actions(recording: Recording) -> deque[tuple[int, Event | Commands]]:
+    """Events in their order and commands, by sample; commands come after the events of their sample."""
+    start = int(recording.start["sample"])
+    actions: list[tuple[int, Event | Commands]] = [(event.sample, event) for event in recording.events]
+    actions.extend(recording.commands)
+    # What a part repeats from the one before it is in its start state already.
+    return deque(sorted((action for action in actions if action[0] >= start), key=lambda action: action[0]))
 
 
-def _act(engine: Engine, actions: list[tuple[int, Commands | None]], sample: int) -> None:
+def _act(engine: Engine, actions: deque[tuple[int, Event | Commands]], sample: int) -> None:
     while actions and actions[0][0] <= sample:
-        _, commands = actions.pop(0)
-        if commands is None:
-            engine.reset()
+        _, action = actions.popleft()
+        if isinstance(action, Commands):
+            engine.command(action)
         else:
-            engine.command(commands)
+            _repeat(engine, action)
+
+
+def _repeat(engine: Engine, event: Event) -> None:
+    if event.kind == RESET:
+        engine.reset()
+    elif event.kind == CHANGE:
+        engine.change(updated(engine.parameters, event.parameters))
+    elif event.kind == RESTORE:
+        engine.resume(event.checkpoint)
 
 
 def _first_difference(

@@ -6,20 +6,22 @@ No clock and no threads: the same parameters and the same calls give the same re
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import Any, Protocol
 
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages import Encoder, Record
-from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.parameters import Parameters, differences
 from gear_dynamics_ros.signals import Chunk, Commands, Status
 
 START = "start"
 RESET = "reset"
 PAUSE = "pause"
 RESUME = "resume"
+CHANGE = "parameters"
+RESTORE = "restore"
 END = "end"
 
 
@@ -123,9 +125,30 @@ class Run:
         self._end = ""
         self.note(RESET, message)
 
-    def note(self, kind: str, message: str = "") -> None:
-        """Write an event that happens before the next sample."""
-        self.emit([self._encoder.event(kind, self.engine.sample, message, self.engine.counters)])
+    def change(self, parameters: Parameters) -> None:
+        """Put ``parameters`` in force from the next sample on, as ``Engine.change`` does.
+
+        Writes an event with the values that differ, and none if nothing does. Raises UsageError, changing
+        nothing, where something differs that is fixed while the gearbox runs.
+        """
+        changed = differences(self.engine.parameters, parameters)
+        if changed:
+            self.engine.change(parameters)
+            self.note(CHANGE, parameters=changed)
+
+    def restore(self, checkpoint: Mapping[str, Any], message: str = "") -> None:
+        """Go on from the state of ``checkpoint`` while simulated time goes on, as ``Engine.resume`` does.
+
+        Raises GearboxError, changing nothing, if it can't be one, or is of a run that had ended.
+        """
+        self.engine.resume(checkpoint)
+        self._end = ""
+        self.note(RESTORE, message, checkpoint=checkpoint)
+
+    def note(self, kind: str, message: str = "", **details: Mapping[str, Any]) -> None:
+        """Write an event that happens before the next sample, with entries of its own."""
+        engine = self.engine
+        self.emit([self._encoder.event(kind, engine.sample, message, engine.counters, **details)])
 
     def emit(self, records: Sequence[Record]) -> None:
         """Write messages that belong to no chunk."""

@@ -54,7 +54,11 @@ CHANNELS: tuple[Channel, ...] = (
 # On request, after the others: works and losses since the start or the last reset, and what is stored now.
 ENERGIES: tuple[Channel, ...] = (
     Channel("shaft_work", "J", "work of the drive torque less that of the load torque"),
-    Channel("excitation_work", "J", "work of stiffness, static error and surfaces moving with the phase"),
+    Channel(
+        "excitation_work",
+        "J",
+        "work of stiffness, static error and surfaces moving with the phase, or changed by a parameter",
+    ),
     Channel("mesh_loss", "J", "dissipated by the teeth's damping"),
     Channel("driving_contact_loss", "J", "dissipated by the bearing contact"),
     Channel("driven_contact_loss", "J", "dissipated by the bearing contact"),
@@ -71,6 +75,15 @@ IMPACTS: tuple[Channel, ...] = (
     Channel("impact_speed", "m/s", "closing speed when it closed"),
     Channel("rebound_speed", "m/s", "opening speed when it opened"),
     Channel("peak_force", "N", "greatest contact force between"),
+)
+# One row a report of the pacing.
+PACE: tuple[Channel, ...] = (
+    Channel("time", "s", "simulated time"),
+    Channel("real_time_factor", "", "reached since the last report"),
+    Channel("real_time_factor_wanted", "", "pacing.real_time_factor; 0 is as fast as possible"),
+    Channel("overruns", "", "chunks that were not done when the next was due, of all time"),
+    Channel("worst_lateness", "s", "latest begin of a chunk after it was due, since the last report"),
+    Channel("slipped", "s", "wall time by which deadlines were put off, of all time"),
 )
 CHANNEL_NAMES: tuple[str, ...] = tuple(channel.name for channel in CHANNELS)
 COLUMN: dict[str, int] = {channel.name: i for i, channel in enumerate((*CHANNELS, *ENERGIES))}

@@ -5,9 +5,20 @@ from __future__ import annotations
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
+import rclpy
 from conftest import Process, StartProcess
+from rcl_interfaces.srv import GetParameters
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+# `make demo` plays demo.yaml.
+SHIPPED = sorted(
+    path for path in (Path(__file__).parents[1] / "config" / "profiles").glob("*.yaml") if path.stem != "demo"
+)
 
 STEP = """
 commands:
@@ -17,19 +28,31 @@ commands:
   speed:
     - {at: 0.0, value: 400.0}
 expectations:
-  - {name: not early, every: load_torque, from: 0.05, to: 0.3, target: 20.0, tolerance: 0.0}
-  - {name: step applied, every: load_torque, from: 0.35, to: 0.6, target: 45.0, tolerance: 0.0}
+  - {name: not early, every: load_torque, from: 0.15, to: 0.3, target: 20.0, tolerance: 0.0}
+  - {name: step applied, every: load_torque, from: 0.45, to: 0.6, target: 45.0, tolerance: 0.0}
   - {name: speed governed, mean: driving_speed, from: 0.2, to: 0.3, target: 400.0, tolerance: 20.0}
 """
 IMPOSSIBLE = """
 commands: {load_torque: [{at: 0.0, value: 20.0}]}
 expectations:
-  - {name: impossible torque, largest: load_torque, from: 0.1, to: 0.2, minimum: 1e3}
-  - {name: drive flank, share: drive, from: 0.1, to: 0.2, minimum: 0.0, maximum: 1.0}
+  - {name: impossible torque, largest: load_torque, from: 0.15, to: 0.25, minimum: 1e3}
+  - {name: drive flank, share: drive, from: 0.15, to: 0.25, minimum: 0.0, maximum: 1.0}
 """
 RUNAWAY = """
 duration: 1000.0
 commands: {drive_torque: [{at: 0.0, value: 190.0}]}
+"""
+REPLAYED = """
+commands: {load_torque: [{from: 0.0, csv: load.csv, interpolation: held}]}
+expectations:
+  - {name: first row, every: load_torque, from: 0.15, to: 0.3, target: 12.0, tolerance: 0.0}
+  - {name: second row, every: load_torque, from: 0.45, to: 0.6, target: 34.0, tolerance: 0.0}
+"""
+CONFIGURED = """
+parameters: {PARAMETERS}
+commands: {load_torque: [{at: 0.0, value: 20.0}]}
+expectations:
+  - {name: load applied, every: load_torque, from: 0.5, to: 0.6, target: 20.0, tolerance: 0.0}
 """
 LONG = """
 expectations:
@@ -70,12 +93,86 @@ def test_commands_take_effect_at_their_time_and_expectations_hold(
 def test_a_failed_expectation_is_named_with_its_numbers(
     gearbox: Process, process: StartProcess, profile: Path
 ) -> None:
-    run = drive(process, profile, IMPOSSIBLE, "--wait", "60")
+    report = profile.with_suffix(".xml")
+    run = drive(process, profile, IMPOSSIBLE, "--wait", "60", "--junit", str(report))
     assert run.wait() == 1, run.output
     assert "1 of 2 expectations passed" in run.stdout
     assert run.stderr.splitlines() == [
-        "drive: failed: impossible torque: largest of load_torque in 0.1 to 0.2 s is 20, expected >= 1000"
+        "drive: failed: impossible torque: largest of load_torque in 0.15 to 0.25 s is 20 N m, "
+        "expected >= 1000 N m"
     ]
+
+    (suite,) = ElementTree.parse(report).getroot()
+    assert [[child.tag for child in case] for case in suite] == [["failure"], []]
+
+
+def test_a_recorded_command_is_replayed(gearbox: Process, process: StartProcess, profile: Path) -> None:
+    (profile.parent / "load.csv").write_text("time,load_torque\n0,12\n0.3,34\n")
+    run = drive(process, profile, REPLAYED, "--wait", "60")
+    assert run.wait() == 0, run.output
+
+
+def real_time_factor(node: str) -> float:
+    """The parameter as ``node`` tells it."""
+    context = Context()
+    rclpy.init(context=context)
+    try:
+        asking = Node("asking", context=context)
+        client = asking.create_client(GetParameters, f"{node}/get_parameters")
+        assert client.wait_for_service(timeout_sec=30.0)
+        answer = client.call_async(GetParameters.Request(names=["pacing.real_time_factor"]))
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(asking)
+        executor.spin_until_future_complete(answer, timeout_sec=30.0)
+        return float(answer.result().values[0].double_value)
+    finally:
+        context.try_shutdown()
+
+
+def test_parameters_are_set_before_the_start_all_or_none(
+    ros_domain: int, process: StartProcess, profile: Path
+) -> None:
+    process("gearbox", "--ros-args", "-r", "__ns:=/rig", "-r", "__node:=left")
+    options = ("--node", "rig/left", "--wait", "60")
+
+    def text(parameters: str) -> str:
+        return CONFIGURED.replace("PARAMETERS", parameters)
+
+    run = drive(process, profile, text("pacing.real_time_factor: 1"), *options)
+    assert run.wait() == 0, run.output
+    run = drive(process, profile, text("pacing.real_time_factor: 0.5"), *options)
+    assert run.wait() == 0, run.output
+    assert real_time_factor("/rig/left") == 0.5
+
+    report = profile.with_suffix(".xml")
+    refused = text("pacing.real_time_factor: 0.25, operation.speed_limit: -1.0")
+    run = drive(process, profile, refused, *options, "--junit", str(report))
+    assert run.wait() == 1, run.output
+    (line,) = run.stderr.splitlines()
+    assert line.startswith("drive: error: /rig/left refused the profile's parameters: ")
+    assert "operation.speed_limit" in line
+    assert "0 commands published" in run.stdout
+    assert real_time_factor("/rig/left") == 0.5
+    (suite,) = ElementTree.parse(report).getroot()
+    assert [[child.tag for child in case] for case in suite] == [["skipped"], ["error"]]
+    assert suite[-1][0].get("message") == line.removeprefix("drive: error: ")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_tells_how_far_it_came(
+    gearbox: Process, process: StartProcess, profile: Path, number: signal.Signals
+) -> None:
+    report = profile.with_suffix(".xml")
+    run = drive(process, profile, LONG, "--wait", "60", "--junit", str(report))
+    run.wait_for("joined")
+    run.signal_group(number)
+    assert run.wait() == 128 + number, run.output
+    (line,) = run.stderr.splitlines()
+    assert line.startswith(f"drive: interrupted by {number.name} at ")
+    assert line.endswith(" s of the profile's 1000 s")
+    assert "\nopen  never reached  " in run.stdout
+    (suite,) = ElementTree.parse(report).getroot()
+    assert [[child.tag for child in case] for case in suite] == [["skipped"], ["error"]]
 
 
 def test_an_absent_gearbox_is_told_within_the_wait(
@@ -114,3 +211,18 @@ def test_the_end_of_the_run_is_told_with_its_reason(
     (line,) = run.stderr.splitlines()
     assert line.startswith("drive: error: /gearbox ended the run at ")
     assert "over-speed" in line
+
+
+@pytest.fixture(scope="module")
+def shipped_gearbox(module_ros_domain: int, module_process: StartProcess) -> Process:
+    """One gearbox at real time for all shipped profiles, which set the parameters that they need."""
+    return module_process("gearbox", "--ros-args", "-r", "__node:=shipped")
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_a_shipped_profile_holds_at_real_time(
+    shipped_gearbox: Process, process: StartProcess, path: Path
+) -> None:
+    run = process("drive", path, "--node", "shipped", "--wait", "60")
+    assert run.wait() == 0, run.output + shipped_gearbox.output
+    assert "\nFAIL" not in run.stdout

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,11 @@ from numpy.typing import NDArray
 
 from gear_dynamics_ros.cli import drive
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.harness import Player, Profile, format_results, load_profile, parse_profile
+from gear_dynamics_ros.harness.player import Player
+from gear_dynamics_ros.harness.profile import Profile, load_profile
+from gear_dynamics_ros.harness.profile import parse_profile as parse_profile_in
+from gear_dynamics_ros.harness.results import format_results
+from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.signals import CHANNEL_NAMES
 
 PROFILES = sorted((Path(__file__).parents[1] / "config" / "profiles").glob("*.yaml"))
@@ -28,6 +33,10 @@ def waveform(first: int, samples: int, seed: int = 1) -> NDArray[np.float64]:
     whole = generator.normal(size=first + samples), generator.integers(-1, 2, first + samples)
     times = np.arange(first, first + samples) * INTERVAL
     return np.column_stack([times, whole[0][first:], whole[1][first:]])
+
+
+def parse_profile(data: object) -> Profile:
+    return parse_profile_in(data, Path())
 
 
 def expecting(*entries: dict[str, Any]) -> Profile:
@@ -173,6 +182,76 @@ def test_bad_expectations_are_refused_by_name(change: dict[str, Any], said: str)
     assert said in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("entry", "said"),
+    [
+        (
+            {"mean": "dte", "maximum": 1.0, "within": 0.1},
+            "expectations[0] (mean) has the unknown key 'within'; known: name, from, to, mean, minimum",
+        ),
+        (
+            {"settling": "dte", "maximum": 1.0},
+            "expectations[0] (settling) has the unknown key 'maximum'",
+        ),
+        ({"settling": "dte", "tolerance": 0.1, "within": 0.1}, "expectations[0] has no target"),
+        ({"settling": "dte", "target": 0.0, "tolerance": 0.1}, "expectations[0] has no within"),
+        (
+            {"settling": "dte", "target": 0.0, "tolerance": 0.1, "from": 0.5, "within": 0.75},
+            "expectations[0].within is 0.75 s, longer than the window (0.5 s)",
+        ),
+        ({"monotone": "dte"}, "expectations[0] has no direction: give one of rising, falling"),
+        ({"monotone": "dte", "direction": "up"}, "expectations[0].direction is 'up', must be one of rising"),
+        (
+            {"monotone": "dte", "direction": "rising", "tolerance": -1},
+            "expectations[0].tolerance is -1, must be >= 0",
+        ),
+    ],
+)
+def test_each_measure_takes_its_own_keys(entry: dict[str, Any], said: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        expecting({"from": 0.0, "to": 1.0, **entry})
+    assert said in str(caught.value)
+
+
+def test_expectations_are_told_apart_by_name() -> None:
+    calm = {"mean": "dte", "from": 0.0, "to": 1.0, "maximum": 1.0}
+    assert len({e.name for e in expecting(calm, {**calm, "to": 2.0}).expectations}) == 2
+    with pytest.raises(UsageError, match=r"expectations\[1\].name is 'calm', as that of expectations\[0\]"):
+        expecting({**calm, "name": "calm"}, {**calm, "name": "calm"})
+
+
+def test_parameters_keep_their_types() -> None:
+    given = {
+        "stepping.chunks": 1,
+        "oil.viscosity": 1.5,
+        "operation.control": "torque",
+        "autostart": True,
+        "mesh.error_cos": [1, 0.5],
+        "mesh.error_sin": [0],
+        "waveform_channels": ["time", "dte"],
+    }
+    parameters = parse_profile({"duration": 1.0, "parameters": given}).parameters
+    assert parameters == given
+    assert [type(entry) for entry in parameters["mesh.error_sin"]] == [float]  # type: ignore[union-attr]
+    assert type(parameters["stepping.chunks"]) is int
+
+
+@pytest.mark.parametrize(
+    ("parameters", "said"),
+    [
+        (["oil.viscosity"], "parameters is ['oil.viscosity'], must be a mapping of dotted names"),
+        ({"oil": {"viscosity": 0.1}}, "parameters.oil is {'viscosity': 0.1}, must be one value or a list"),
+        ({"mesh.error_cos": [0.1, "x"]}, "parameters.mesh.error_cos is [0.1, 'x']"),
+        ({"mesh.error_cos": []}, "parameters.mesh.error_cos is []"),
+        ({"mesh.stifness": 3.0e8}, "parameters: there is no parameter mesh.stifness"),
+    ],
+)
+def test_bad_parameters_are_refused_by_name(parameters: object, said: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        parse_profile({"duration": 1.0, "parameters": parameters})
+    assert said in str(caught.value)
+
+
 @pytest.mark.parametrize("data", [None, [], {}, {"duration": 0.0}, {"duration": -1.0}, {"speed": []}])
 def test_a_profile_that_plays_nothing_is_refused(data: object) -> None:
     with pytest.raises(UsageError):
@@ -204,6 +283,17 @@ def test_text_that_is_no_profile_is_refused_in_one_line(tmp_path: Path, text: st
 def test_shipped_profiles_are_sound(path: Path) -> None:
     profile = load_profile(path)
     assert profile.expectations
+    Player(profile, CHANNEL_NAMES)
+
+
+def test_the_documented_profile_is_sound(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[1] / "docs" / "drive.md").read_text()
+    (example,) = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
+    (tmp_path / "profile.yaml").write_text(example)
+    (tmp_path / "load.csv").write_text("time,torque\n0.0,30.0\n2.5,50.0\n")
+    profile = load_profile(tmp_path / "profile.yaml")
+    assert profile.commands["load_torque"].value(3.5) == 50.0
+    assert profile.parameters.keys() <= Parameters().to_flat().keys()
     Player(profile, CHANNEL_NAMES)
 
 
@@ -252,7 +342,7 @@ def test_limits(limits: dict[str, float], passed: bool) -> None:
     record[:, 1] = 1.0
     (result,) = play(expecting({"mean": "dte", "from": 0.0, "to": 0.001, **limits}), record, [100]).results()
     assert result.passed is passed
-    assert ("is 1, expected" in result.reason()) is True
+    assert "is 1 m, expected" in result.reason()
 
 
 @pytest.mark.parametrize("measure", ["every", "smallest", "largest", "mean", "rms"])
@@ -280,6 +370,13 @@ def test_lost_samples_fail_what_needed_them_and_nothing_else() -> None:
     assert before.passed
     assert (across.samples, across.missing, across.passed) == (100, 100, False)
     assert "lacks 100 of 200 samples" in across.reason()
+
+
+def test_a_window_between_two_samples_is_told() -> None:
+    profile = expecting({"mean": "dte", "from": 0.000501, "to": 0.000502, "minimum": -9.0})
+    (result,) = play(profile, waveform(0, 200), [100]).results()
+    assert not result.passed
+    assert result.reason().endswith("holds no sample: lengthen it")
 
 
 def test_an_unfinished_window_has_not_passed() -> None:

@@ -12,7 +12,7 @@ from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.live import Live
 from gear_dynamics_ros.messages import Encoder
-from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.run import Run
 
 
@@ -75,7 +75,7 @@ def test_a_command_that_is_too_old_is_held_or_released(start, on_timeout, load):
 def test_what_fails_in_a_call_fails_in_the_caller_and_the_run_goes_on(start):
     live, watcher, _ = start()
     with pytest.raises(GearboxError, match="not paused"):
-        live.call(live.single_step)
+        live.step(1, 1.0)
     known = len(watcher.chunks)
     watcher.until(lambda chunk: len(watcher.chunks) > known)
 
@@ -101,8 +101,98 @@ def test_stopping_and_starting_loses_no_sample(start):
         known = len(watcher.chunks)
         watcher.until(lambda chunk, known=known: len(watcher.chunks) > known + 3)
         live.stop()
-        with pytest.raises(GearboxError, match="not active"):
-            live.call(lambda: None)
+        assert not live.active
         live.start()
     live.stop()
     assert [chunk.first_sample for chunk in watcher.chunks] == [200 * k for k in range(len(watcher.chunks))]
+
+
+def paused(start, **values):
+    live, watcher, ended = start(**values)
+    watcher.until(lambda chunk: True)
+    assert live.call(lambda: live.pause(True)) and not live.call(lambda: live.pause(True))
+    return live, watcher, ended
+
+
+def test_steps_make_as_many_chunks_as_wanted_while_paused(start):
+    live, watcher, _ = paused(start)
+    known = len(watcher.chunks)
+    before, overruns = live.time, live.pace().overruns
+    assert live.step(25, 60.0).result(60.0) == pytest.approx(before + 0.05)
+    assert len(watcher.chunks) == known + 25
+    assert live.pace().overruns == overruns
+
+
+@pytest.mark.parametrize(
+    ("meanwhile", "reason"),
+    [
+        (lambda live: live.call(lambda: live.pause(False)), "aborted: resumed after"),
+        (lambda live: live.call(lambda: live.restart(live.run.reset)), "aborted: reset after"),
+        (lambda live: live.stop(), "aborted: deactivated after"),
+    ],
+)
+def test_steps_are_given_up_when_something_else_is_wanted(start, meanwhile, reason):
+    live, watcher, _ = paused(start)
+    known = len(watcher.chunks)
+    steps = live.step(1_000_000, 3600.0)
+    watcher.until(lambda chunk: len(watcher.chunks) > known)
+    with pytest.raises(GearboxError, match="stepping already"):
+        live.step(1, 1.0)
+    meanwhile(live)
+    with pytest.raises(GearboxError, match=f"{reason} .* of 1000000 chunks"):
+        steps.result(60.0)
+
+
+def test_steps_are_given_up_when_their_time_is_over(start):
+    live, _, _ = paused(start)
+    with pytest.raises(GearboxError, match=r"stepping.timeout"):
+        live.step(1_000_000, 0.05).result(60.0)
+    assert live.paused and live.step(1, 60.0).result(60.0)
+
+
+def test_steps_are_given_up_when_the_run_ends(start):
+    live, _, ended = paused(
+        start,
+        **{"operation.control": "torque", "operation.load_torque": 0.0},
+    )
+    with pytest.raises(GearboxError, match="aborted: over-speed"):
+        live.step(1_000_000, 3600.0).result(120.0)
+    assert ended.wait(60.0)
+    with pytest.raises(GearboxError, match=r"the run has ended .*: call ~/reset first"):
+        live.step(1, 1.0)
+
+
+def test_an_overrun_ends_the_run_where_it_is_to(start):
+    live, _, ended = start(**{"pacing.real_time_factor": 1e6, "pacing.on_overrun": "error"})
+    assert ended.wait(120.0)
+    assert "overrun" in live.ended and "pacing.real_time_factor" in live.ended
+
+
+def test_parameters_change_between_two_chunks_and_the_pace_with_them(start):
+    live, watcher, _ = start(**{"pacing.real_time_factor": 0.1})
+    watcher.until(lambda chunk: True)
+    parameters = live.run.engine.parameters
+    wanted = updated(parameters, {"operation.load_torque": 12.0, "pacing.real_time_factor": 0.0})
+    live.call(lambda: live.change(wanted))
+    known = len(watcher.chunks)
+    watcher.until(lambda chunk: len(watcher.chunks) > known + 3)
+    load = watcher.chunks[-1]["load_torque"]
+    assert set(load) == {12.0}
+    assert watcher.chunks[0].commands.load_torque == 30.0
+
+
+def test_what_is_posted_to_a_broken_sink_ends_the_run_and_not_the_thread(start):
+    live, _, ended = start()
+
+    class Broken:
+        def write(self, chunk, records):
+            if chunk is None:
+                raise RuntimeError("out of ink")
+
+        def close(self):
+            pass
+
+    live.call(lambda: live.run.attach(Broken()))
+    live.post([])
+    assert ended.wait(120.0)
+    assert live.call(lambda: live.ended) == "out of ink"

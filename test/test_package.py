@@ -24,10 +24,14 @@ PACKAGE = "gear_dynamics_ros"
 EXECUTABLES = ("analyze", "drive", "gearbox", "replay", "simulate")
 SHARED = (
     "package.xml",
+    "config/fastdds_local.xml",
     "config/gearbox.yaml",
     "config/paper.yaml",
     "config/profiles/demo.yaml",
+    "examples/speed_controller.py",
     "launch/gearbox.launch.py",
+    "sros2/policy.xml",
+    "urdf/gearbox.urdf",
 )
 
 

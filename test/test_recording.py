@@ -29,7 +29,16 @@ from gear_dynamics_ros.messages import TOPICS, Encoder, Record, message_class, r
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.recording import mcap_writer, writer
 from gear_dynamics_ros.recording.writer import Recorder
-from gear_dynamics_ros.signals import CHANNEL_NAMES, ENERGIES, IMPACTS, Chunk, Commands, Counters, Status
+from gear_dynamics_ros.signals import (
+    CHANNEL_NAMES,
+    ENERGIES,
+    IMPACTS,
+    PACE,
+    Chunk,
+    Commands,
+    Counters,
+    Status,
+)
 
 EPOCH_NS = 1_700_000_000_123_456_789
 COUNTERS = Counters(0, 0, 0, 0, 0)
@@ -78,7 +87,12 @@ def extra_records(encoder: Encoder) -> list[Record]:
         "speed_command": message_class("std_msgs/msg/Float64")(data=1000.0),
     }
     records = [Record(key, EPOCH_NS, serialize(TOPICS[key].type, value)) for key, value in contents.items()]
-    return [*records, encoder.applied(FIRST, 0)._replace(topic="joint_command")]
+    return [
+        *records,
+        encoder.applied(FIRST, 0)._replace(topic="joint_command"),
+        encoder.pacing(EPOCH_NS, [0.0] * len(PACE)),
+        encoder.model_info(EPOCH_NS, "{}"),
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +109,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
             recorder.write(halted)
             recorder.write([encoder.applied(SECOND, 20 * ROWS)])
         if number == 40:
-            recorder.split(start_at(40 * ROWS))
+            recorder.split(start_at(40 * ROWS), parameters)
         recorder.write(encoder.chunk(make_chunk(number)))
     recorder.write([encoder.event("end", 60 * ROWS, "as asked", COUNTERS)])
     recorder.close()
@@ -157,7 +171,7 @@ def test_parts_are_complete_in_themselves(bag: Path) -> None:
     assert equal(second.waveform(), samples_of(range(40, 60)))
     with (bag / "bag_1.mcap").open("rb") as stream:
         order = [channel.topic for _, channel, _ in make_reader(stream).iter_messages(log_time_order=False)]
-    assert order[:2] == ["/gearbox/command/applied", "/gearbox/event"]
+    assert order[:3] == ["/gearbox/command/applied", "/gearbox/model_info", "/gearbox/event"]
 
 
 def test_rosbags_reads_the_same(bag: Path) -> None:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from gear_dynamics_ros.engine import Engine
-from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages import TOPICS, Encoder, applied_commands, deserialize, waveform_samples
-from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.run import Run, advice
 from gear_dynamics_ros.signals import Commands
 
@@ -99,6 +99,40 @@ def test_reset_goes_back_to_the_start_while_time_goes_on():
     assert keeper.events == [(0, "start"), (CHUNK, "reset")]
     assert keeper.chunks[1].first_sample == CHUNK
     np.testing.assert_array_equal(keeper.chunks[1]["driving_x"][:1], [0.0])
+
+
+def test_changed_parameters_are_told_once_and_become_commands():
+    run, keeper = start()
+    run.step()
+    run.change(run.engine.parameters)
+    run.change(updated(run.engine.parameters, {"operation.load_torque": 12.0, "mesh.stiffness_cos": [0.1]}))
+    run.step()
+    with pytest.raises(UsageError, match=r"gears\.module"):
+        run.change(updated(run.engine.parameters, {"gears.module": 0.004}))
+    run.reset()
+    assert keeper.events == [(0, "start"), (CHUNK, "parameters"), (2 * CHUNK, "reset")]
+    (entry,) = [e for e in map(json.loads, (m.data for _, m in keeper.of("event"))) if "parameters" in e]
+    assert entry["parameters"] == {"operation.load_torque": 12.0, "mesh.stiffness_cos": [0.1]}
+    assert keeper.applied[-1] == (CHUNK, Commands(30.0, 12.0, 1623.156))
+    assert run.engine.commands.load_torque == 12.0
+
+
+def test_a_restored_state_goes_on_after_the_end_and_is_told_whole():
+    run, keeper = start(**{"operation.speed_limit": 1700.0, "operation.control": "torque"})
+    run.step()
+    checkpoint = run.checkpoint()
+    while not run.end:
+        run.step(Commands(190.0, 30.0, 1600.0))
+    ended = run.checkpoint()
+    with pytest.raises(GearboxError, match="had ended: take an earlier one"):
+        run.restore(ended)
+    assert run.checkpoint() == ended and run.end
+    run.restore(checkpoint, "as asked")
+    assert (run.end, run.tripped) == ("", False)
+    assert run.step().first_sample == ended["sample"]
+    _, message = keeper.of("event")[-1]
+    assert json.loads(message.data)["checkpoint"] == checkpoint
+    assert keeper.applied[-1] == (ended["sample"], Commands(30.0, 30.0, 1623.156))
 
 
 def test_over_speed_ends_the_run_and_a_reset_recovers():

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import shutil
+import tempfile
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from gear_dynamics_ros import recording, replay
 from gear_dynamics_ros.cli.replay import main as replay_main
 from gear_dynamics_ros.cli.simulate import main as simulate_main
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.messages import Encoder
-from gear_dynamics_ros.parameters import Parameters, load
+from gear_dynamics_ros.parameters import Parameters, load, updated
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.recordings import RecorderSink
 from gear_dynamics_ros.run import Run
@@ -63,6 +68,100 @@ def commanded(path: Path, parameters: Parameters, recorded_as: Parameters | None
     run.step(Commands(30.0, -20.0, 1500.0))
     run.close()
     return path
+
+
+# What may be done between two chunks; "restore" takes up the state that "save" kept.
+DEEDS: tuple[Any, ...] = (
+    "step",
+    "reset",
+    "save",
+    "restore",
+    "split",
+    Commands(30.0, 55.0, 1700.0),
+    Commands(31.0, -20.0, 1500.0),
+    {"operation.control": "torque"},
+    {"operation.control": "speed", "operation.speed": 1400.0},
+    {"operation.governor.integral": 50.0, "operation.drive_torque": 25.0},
+    {"surface.driving.roughness": 2e-6, "mesh.error_cos": [3e-6, 1e-6]},
+    {"mesh.error_mean": -20e-6, "oil.viscosity": 0.05},
+    {"mesh.error_mean": 0.0, "operation.load_torque": 30.0},
+)
+
+
+def perform(path: Path, deeds: Sequence[Any], parameters: Parameters) -> Path:
+    """Recording of a run in which ``deeds`` were done, a short chunk after each."""
+    engine = Engine(parameters)
+    recorder = Recorder(path, parameters, engine.checkpoint(), 0)
+    run = Run(engine, Encoder(parameters, 0), [RecorderSink(recorder)])
+    saved = (run.engine.parameters, run.checkpoint())
+    for deed in deeds:
+        commands = None
+        if isinstance(deed, Commands):
+            commands = deed
+        elif isinstance(deed, dict):
+            run.change(updated(engine.parameters, deed))
+        elif deed == "reset":
+            run.reset()
+        elif deed == "save":
+            saved = (engine.parameters, run.checkpoint())
+        elif deed == "restore":
+            run.change(saved[0])
+            run.restore(saved[1], "as saved")
+        elif deed == "split":
+            recorder.split(run.checkpoint(), engine.parameters)
+        run.step(commands)
+    run.close()
+    assert recorder.error is None
+    return path
+
+
+@given(st.lists(st.sampled_from(DEEDS), min_size=1, max_size=12), st.sampled_from(["torque", "speed"]))
+@example(["save", "step", "restore", "step", "split", "step"], "speed")
+@example(["step", "reset", "step", "split", "step"], "torque")
+@settings(max_examples=30, deadline=None)
+def test_whatever_is_done_comes_out_again(deeds: list[Any], control: str) -> None:
+    parameters = Parameters.from_flat({"operation.control": control, "solver.chunk": 3e-4})
+    with tempfile.TemporaryDirectory() as folder:
+        path = perform(Path(folder) / "bag", deeds, parameters)
+        whole = recording.open(path)
+        result = replay.verify(whole)
+        assert (result.difference, result.samples) == (None, 30 * len(deeds))
+        assert whole.parameters == parameters
+        for part in path.glob("*.mcap"):
+            assert replay.verify(recording.open(part)).difference is None
+
+
+def test_events_tell_what_changed_and_what_was_restored(tmp_path: Path) -> None:
+    parameters = Parameters.from_flat({"solver.chunk": 3e-4})
+    changed = {"mesh.stiffness_cos": [0.05, 0.01], "operation.control": "torque"}
+    path = perform(tmp_path / "bag", ["step", "save", changed, "split", "restore"], parameters)
+    start, change, back, restore = recording.open(path).events
+    assert (start.kind, start.parameters, start.checkpoint) == ("start", {}, {})
+    assert (change.kind, change.sample, change.parameters) == ("parameters", 60, changed)
+    assert back.parameters == {"mesh.stiffness_cos": [0.08], "operation.control": "speed"}
+    assert (restore.kind, restore.sample, restore.message) == ("restore", 120, "as saved")
+    assert restore.checkpoint["sample"] == 30
+    second = recording.open(path / "bag_1.mcap")
+    assert second.parameters == updated(parameters, changed)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("mesh.stiffness", 2.0000000001e8), ("operation.load_torque", 31.0)]
+)
+def test_a_changed_value_that_was_another_is_found_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, value: float
+) -> None:
+    deeds = ["step", {"mesh.stiffness": 2e8, "operation.load_torque": 30.5}, "step"]
+    opened = recording.open(perform(tmp_path / "bag", deeds, Parameters.from_flat({"solver.chunk": 3e-4})))
+    told = [
+        event._replace(parameters={**event.parameters, name: value}) if event.parameters else event
+        for event in opened.events
+    ]
+    assert replay.verify(opened).difference is None
+    monkeypatch.setattr(type(opened), "events", told)
+    monkeypatch.setattr(type(opened), "commands", [])
+    difference = replay.verify(opened).difference
+    assert difference is not None and difference.sample >= 30
 
 
 @pytest.mark.parametrize("channels", [CHANNEL_NAMES, tuple(COLUMN), ("time", "mesh_loss")])

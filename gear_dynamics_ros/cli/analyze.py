@@ -21,7 +21,7 @@ from gear_dynamics_ros.cli.common import Progress, guarded
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages import waveform_samples
 from gear_dynamics_ros.recording import Recording
-from gear_dynamics_ros.replay import RESET
+from gear_dynamics_ros.run import RESET, RESTORE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -175,7 +175,7 @@ def describe(bag: Recording, whole: Pass, samples: Samples) -> dict[str, Any]:
 
 def energy(bag: Recording) -> dict[str, Any] | None:
     """The energy balance over the whole recording, None where it lacks the topic."""
-    balance = ledger.Ledger([event.sample for event in bag.events if event.kind == RESET])
+    balance = ledger.Ledger([event.sample for event in bag.events if event.kind in (RESET, RESTORE)])
     for time_ns, message in bag.messages("energy"):
         _, rows = waveform_samples(message)
         balance.add((time_ns - bag.epoch_ns) // bag.sample_interval_ns + 1, rows[0])

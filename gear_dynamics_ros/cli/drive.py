@@ -10,15 +10,22 @@ from functools import partial
 from pathlib import Path
 
 from gear_dynamics_ros.cli.common import FAILURE, guarded
-from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.harness import Player, Result, format_results, load_profile
+from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.harness import junit
+from gear_dynamics_ros.harness.player import Player
+from gear_dynamics_ros.harness.profile import load_profile
+from gear_dynamics_ros.harness.results import Result, format_results, unreached
 
-ROS_PACKAGES = ("rclpy", "std_msgs")
+ROS_PACKAGES = ("rclpy", "rcl_interfaces", "std_msgs")
+SIGNALLED = 128  # what shells add to the number of a signal
 REDRAW = 0.2  # s of wall time
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Exit code 0 if the profile was played and every expectation held, 1 if not, 2 on bad usage."""
+    """Exit code 0 if the profile was played and every expectation held, 1 if not, 2 on bad usage.
+
+    128 and the signal's number (130 for Ctrl-C) if a signal broke the run off.
+    """
     own, ros = _split(sys.argv[1:] if argv is None else argv)
     return guarded(partial(_drive, ros_arguments=ros), _parser(), own)
 
@@ -27,8 +34,9 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="drive",
         description="Plays a command profile to a running gearbox over topics, following its simulated time, "
-        "and checks expectations on its waveform. Commands stay at their last value afterwards.",
-        epilog="--ros-args and what follows it go to ROS.",
+        "and checks expectations on its waveform. Commands and parameters stay as they are afterwards.",
+        epilog="--ros-args and what follows it go to ROS. Exit code: 0 if every expectation held, 1 if not, "
+        "2 on bad usage, 130 on Ctrl-C.",
     )
     parser.add_argument("profile", type=Path, metavar="PROFILE", help="YAML file, see config/profiles")
     parser.add_argument("--node", default="/gearbox", help="full name of the gearbox (default: %(default)s)")
@@ -44,6 +52,7 @@ def _parser() -> argparse.ArgumentParser:
         default=10.0,
         help="wall seconds without a waveform after which to give up (default: %(default)g)",
     )
+    parser.add_argument("--junit", type=Path, metavar="FILE", help="write the results there as JUnit XML")
     return parser
 
 
@@ -57,15 +66,23 @@ def _drive(arguments: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
             raise
         remedy = "source your ROS 2 installation, or pip install 'gear_dynamics_ros[ros]'"
         raise GearboxError(f"{error.name}: not found; {remedy}") from error
+    report = _Report(arguments.junit, arguments.profile)
+    report.begin(unreached(profile.expectations))
     print(f"playing {arguments.profile} to {node}: {profile.duration:g} s of simulated time", flush=True)
     display = _Display()
     try:
         outcome = play(profile, node, arguments.wait, arguments.timeout, display.update, ros_arguments)
     finally:
         display.close()
-    print(f"{outcome.published} commands published")
-    if outcome.results:
-        print(format_results(outcome.results), flush=True)
+    try:
+        report.write(outcome.results, outcome.failure)
+    finally:
+        print(f"{outcome.published} commands published")
+        if outcome.results:
+            print(format_results(outcome.results), flush=True)
+    if outcome.signal:
+        print(f"drive: {outcome.failure}", file=sys.stderr)
+        return SIGNALLED + outcome.signal
     if outcome.failure:
         raise GearboxError(outcome.failure)
     return _verdict(outcome.results)
@@ -77,6 +94,31 @@ def _verdict(results: Sequence[Result]) -> int:
         print(f"drive: failed: {result.reason()}", file=sys.stderr)
     print(f"{len(results) - len(failed)} of {len(results)} expectations passed")
     return FAILURE if failed else 0
+
+
+class _Report:
+    """The JUnit file, if one is wanted."""
+
+    def __init__(self, path: Path | None, profile: Path) -> None:
+        self._path = path
+        self._profile = profile.stem
+
+    def begin(self, results: Sequence[Result]) -> None:
+        """Write a report of a run that did not end: it stays if drive is killed, in place of an older one.
+
+        Raises UsageError where none can be written, before anything is played.
+        """
+        try:
+            self.write(results, "drive did not end by itself")
+        except OSError as error:
+            raise UsageError(
+                f"--junit {self._path}: {error.strerror}; name a file in a folder that can be written to"
+            ) from error
+
+    def write(self, results: Sequence[Result], failure: str) -> None:
+        """Write the report."""
+        if self._path is not None:
+            junit.write_report(self._path, self._profile, results, failure)
 
 
 class _Display:

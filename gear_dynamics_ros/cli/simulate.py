@@ -9,12 +9,13 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from gear_dynamics_ros import checkpoints
 from gear_dynamics_ros.cli.common import Progress, guarded
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.live import warm_up
 from gear_dynamics_ros.messages import Encoder, Record
-from gear_dynamics_ros.parameters import Parameters, load
+from gear_dynamics_ros.parameters import Parameters, load, read_settings, updated
 from gear_dynamics_ros.physics import step_check
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.recordings import RecorderSink
@@ -46,8 +47,15 @@ class StrictRecorderSink(RecorderSink):
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     parser = argparse.ArgumentParser(prog="simulate", description=__doc__)
-    parser.add_argument(
+    origin = parser.add_mutually_exclusive_group()
+    origin.add_argument(
         "--params-file", type=Path, help="ROS parameter file (default: the package's config/gearbox.yaml)"
+    )
+    origin.add_argument(
+        "--from-checkpoint",
+        type=Path,
+        metavar="FILE",
+        help="go on from the state and the parameters in a checkpoint file; time begins at 0",
     )
     parser.add_argument(
         "--duration", type=float, metavar="S", help="simulated time in s (default: pacing.duration)"
@@ -65,12 +73,18 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def simulate(arguments: argparse.Namespace) -> int:
     """Simulate and record; exit code 1 if the run ended before its time."""
-    parameters = load(arguments.params_file or share_file("config/gearbox.yaml"), arguments.set)
+    if arguments.from_checkpoint is None:
+        saved = None
+        parameters = load(arguments.params_file or share_file("config/gearbox.yaml"), arguments.set)
+    else:
+        saved = checkpoints.load(arguments.from_checkpoint)
+        parameters = updated(saved.parameters, read_settings(arguments.set))
+        checkpoints.require_fitting(saved, parameters)
     duration = checked_duration(arguments.duration, parameters)
     for line in step_check.warnings(parameters):
         print(f"simulate: warning: {line}", file=sys.stderr)
     warm_up(parameters, lambda line: print(f"simulate: {line}", file=sys.stderr))
-    engine = Engine(parameters)
+    engine = Engine(parameters) if saved is None else resumed(saved, parameters)
     recorder = Recorder(arguments.output, parameters, engine.checkpoint(), EPOCH_NS)
     run = Run(engine, Encoder(parameters, EPOCH_NS), [StrictRecorderSink(recorder)], duration=duration)
     interval = parameters.solver.sample_interval_ns / 1e9
@@ -92,6 +106,17 @@ def simulate(arguments: argparse.Namespace) -> int:
     if run.tripped:
         raise GearboxError(run.end)
     return 0
+
+
+def resumed(saved: checkpoints.Saved, parameters: Parameters) -> Engine:
+    """Engine in the state of ``saved`` at time 0, where ``parameters`` come into force.
+
+    Raises UsageError if they don't fit the state, GearboxError if the state is spoilt.
+    """
+    engine = Engine(checkpoints.continued(saved, parameters))
+    engine.resume(saved.checkpoint)
+    engine.change(parameters)
+    return engine
 
 
 def checked_duration(wanted: float | None, parameters: Parameters) -> float:

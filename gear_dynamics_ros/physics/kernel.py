@@ -81,6 +81,8 @@ GAP_TOLERANCE = 1e-8
 CLAMP_TOLERANCE = 1e-6
 SEARCH_LIMIT = 30
 STOPS_PER_STEP = 24
+# Each stop, and what is settled late after the last, may end the contacts of both bearings.
+IMPACTS_PER_STEP = 2 * (STOPS_PER_STEP + 1)
 # Of the step: the shortest substep that the beginning or end of a bearing contact asks for.
 GAP_FRACTION = 0.1
 # The largest product of substep and damping rate of a bearing contact; RK4 itself bears 2.78.
@@ -543,8 +545,7 @@ def mesh(constants: Record, state: Record, motion: Motion, excitation: Floats, l
     r1, r2 = constants.base_radius[0], constants.base_radius[1]
     r_sum = r1 + r2
     half = 0.5 * lag
-    phase_speed = state.speed if constants.nominal_phase else motion.omega[0]
-    phi_rate = constants.teeth1 * phase_speed
+    phi_rate = phase_rate(constants, state, motion.omega[0])
     z, z_rate = surface_at(excitation, lag, phi_rate)
     k1 = constants.stiffness * (1.0 + excitation[STIFFNESS] + lag * excitation[STIFFNESS_SLOPE])
     k1_rate = constants.stiffness * phi_rate * excitation[STIFFNESS_SLOPE]
@@ -612,6 +613,14 @@ def mesh(constants: Record, state: Record, motion: Motion, excitation: Floats, l
         excitation_power=0.5 * k1_rate * approach * approach - force * (e_rate - 0.5 * side * z_rate),
         loss_rate=(force - elastic) * approach_rate,
     )
+
+
+@hot
+def phase_rate(constants: Record, state: Record, omega1: float) -> float:
+    """Rate of the mesh phase, rad/s."""
+    speed = state.speed if constants.nominal_phase else omega1
+    rate: float = constants.teeth1 * speed
+    return rate
 
 
 @hot
@@ -774,9 +783,10 @@ def push_rate(constants: Record, state: Record, point: Record, teeth: Mesh, rate
     Up to products of the centres' speeds, which are some 1e-5 of it.
     """
     excitation = point.excitation
-    phi_rate, phi_acceleration = constants.teeth1 * point.omega[0], constants.teeth1 * rates.alpha[0]
+    phi_rate = phase_rate(constants, state, point.omega[0])
+    phi_acceleration = constants.teeth1 * rates.alpha[0]
     if constants.nominal_phase:
-        phi_rate, phi_acceleration = constants.teeth1 * state.speed, 0.0
+        phi_acceleration = 0.0
     phi_rate2 = phi_rate * phi_rate
     z = phi_rate2 * excitation[SURFACE_CURVATURE] + phi_acceleration * excitation[SURFACE_SLOPE]
     e = phi_rate2 * excitation[ERROR_CURVATURE] + phi_acceleration * excitation[ERROR_SLOPE]
@@ -1428,22 +1438,30 @@ def elastic_energy(constants: Record, state: Record, here: Record, gear: int) ->
 
 
 @compiled
+def stored_energy(constants: Record, state: Record, here: Record) -> float:
+    """Energy in the springs of teeth and bearing contacts, N m."""
+    total: float = here.mesh_energy
+    for gear in range(2):
+        total += elastic_energy(constants, state, here, gear)
+    return total
+
+
+@compiled
 def write_energies(
     constants: Record, state: Record, here: Record, rows: Floats, row: int, first: int
 ) -> None:
     """ENERGIES into ``row``, from column ``first`` on."""
-    kinetic, elastic = 0.0, here.mesh_energy
+    kinetic = 0.0
     for gear in range(2):
         kinetic += 0.5 * (here.vx[gear] ** 2 + here.vy[gear] ** 2) / constants.per_mass[gear]
         kinetic += 0.5 * here.omega[gear] ** 2 / constants.per_inertia[gear]
-        elastic += elastic_energy(constants, state, here, gear)
         rows[row, first + 3 + gear] = here.contact_loss[gear]
         rows[row, first + 5 + gear] = here.film_work[gear]
     rows[row, first] = here.shaft_work
     rows[row, first + 1] = here.excitation_work
     rows[row, first + 2] = here.mesh_loss
     rows[row, first + 7] = kinetic
-    rows[row, first + 8] = elastic
+    rows[row, first + 8] = stored_energy(constants, state, here)
 
 
 @compiled
@@ -1550,6 +1568,50 @@ def look(
     open_point(constants[0], state[0], here, pointer(waves), pointer(amplitudes))
 
 
+@compiled
+def look_before(
+    constants: NDArray[Any], state: NDArray[Any], points: NDArray[Any], waves: Floats, amplitudes: Floats
+) -> float:
+    """``look`` at what is about to change under the same motion; returns the stored energy, N m."""
+    look(constants, state, points, waves, amplitudes)
+    return float(stored_energy(constants[0], state[0], points[HERE]))
+
+
+@compiled
+def adapt(
+    constants: NDArray[Any],
+    state: NDArray[Any],
+    points: NDArray[Any],
+    waves: Floats,
+    amplitudes: Floats,
+    impact_rows: Floats,
+    stored_before: float,
+) -> None:
+    """Bring the flags into line with a change of constants or excitations, after ``look_before``.
+
+    What the change brought past its surface is flipped and counted; the gaps of the bearings it can't move.
+    What the springs gain by it, the excitations have put in.
+    """
+    here, before = points[HERE], points[LOW]
+    copy(here, before)
+    look(constants, state, points, waves, amplitudes)
+    flipped = 0
+    for _ in range(EVENT_COUNT):
+        following = -1
+        for event in range(EVENT_COUNT):
+            value = here.value[event]
+            # One that rounding left short of its surface, on its way there, is not the change's doing.
+            if value < 0.0 and value < before.value[event] and not (flipped >> event) & 1:
+                following = event
+                break
+        if following < 0:
+            break
+        flip(constants[0], following, state[0], here, pointer(impact_rows))
+        flipped |= 1 << following
+        reevaluate(constants[0], state[0], here)
+    state[0].excitation_work += stored_energy(constants[0], state[0], here) - stored_before
+
+
 @njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
 def run(
     all_constants: NDArray[Any],
@@ -1568,7 +1630,7 @@ def run(
 
     ``samples`` of 37 columns take ENERGIES too; ``energies`` (1, 9) takes them at the end. ``impact_rows``
     take the bearing contacts that end, ``state.listed`` of them; the run halts early where they might not
-    suffice for another sample with STOPS_PER_STEP a step. Changes the state in place;
+    suffice for another sample with IMPACTS_PER_STEP. Changes the state in place;
     returns (rows written, status). On OVER_SPEED and CENTRES_PRESSED the last row is the state that broke the
     limit; a NON_FINITE state is not written.
     """
@@ -1579,7 +1641,7 @@ def run(
     n = samples.shape[0]
     limit, step = constants.speed_limit, constants.step
     interval = step * constants.steps_per_sample
-    most_impacts = STOPS_PER_STEP * constants.steps_per_sample
+    most_impacts = IMPACTS_PER_STEP * constants.steps_per_sample
     written, status = n, RUNNING
     copy_motion(state, here)
     state.listed = 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +37,17 @@ def fractal_surface(
     The frequencies scale^j per tooth are rounded to whole waves per revolution (half to even), so that the
     profile closes on the gear.
     """
+    unit, magnitude = _unit_surface(teeth, fractal_dimension, offset, scale, waves)
+    gain = roughness / magnitude
+    return Surface(unit.orders, gain * unit.cosine, gain * unit.sine)
+
+
+# What a run changes is the roughness alone, and the mean takes longer than a chunk.
+@lru_cache(maxsize=16)
+def _unit_surface(
+    teeth: int, fractal_dimension: float, offset: float, scale: float, waves: int
+) -> tuple[Surface, float]:
+    """The sum without its scale, dimensionless, and the mean of its magnitude."""
     ladder = [scale**j for j in range(waves)]
     if teeth * ladder[-1] > LARGEST_ORDER:
         raise UsageError(
@@ -45,8 +57,7 @@ def fractal_surface(
     orders = np.array([round(teeth * factor) for factor in ladder], dtype=np.int64)
     weights = np.array([factor ** (fractal_dimension - 2.0) for factor in ladder])
     unit = Surface(orders, weights * math.sin(offset), weights * math.cos(offset))
-    gain = roughness / mean_magnitude(unit)
-    return Surface(orders, gain * unit.cosine, gain * unit.sine)
+    return unit, mean_magnitude(unit)
 
 
 def mean_magnitude(surface: Surface) -> float:

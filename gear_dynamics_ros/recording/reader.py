@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
@@ -36,9 +37,11 @@ class Event(NamedTuple):
 
     sample: int
     time: float  # s, simulated
-    kind: str  # reset, pause, resume, end ...
+    kind: str  # one of those in run.py
     message: str
     counters: dict[str, int]  # signals.Counters then; empty in a recording that lacks them
+    parameters: Mapping[str, Any] = MappingProxyType({})  # by dotted name, that changed
+    checkpoint: Mapping[str, Any] = MappingProxyType({})  # of a restore
 
 
 class TopicCount(NamedTuple):
@@ -142,11 +145,7 @@ class Recording:
     @property
     def events(self) -> list[Event]:
         """Events in their order."""
-        contents = (json.loads(message.data) for message in self._latched("event"))
-        return [
-            Event(entry["sample"], entry["time"], entry["event"], entry["message"], entry.get("counters", {}))
-            for entry in contents
-        ]
+        return [_event(json.loads(message.data)) for message in self._latched("event")]
 
     def chunks(
         self, first: int | None = None, end: int | None = None
@@ -239,6 +238,18 @@ def open(path: str | Path) -> Recording:
     path = Path(path)
     parts = _open_parts(_files(path))
     return Recording(path, parts, _parameters(parts[0].path))
+
+
+def _event(entry: dict[str, Any]) -> Event:
+    return Event(
+        sample=entry["sample"],
+        time=entry["time"],
+        kind=entry["event"],
+        message=entry["message"],
+        counters=entry.get("counters", {}),
+        parameters=entry.get("parameters", {}),
+        checkpoint=entry.get("checkpoint", {}),
+    )
 
 
 def _files(path: Path) -> list[Path]:

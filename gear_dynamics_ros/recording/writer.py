@@ -45,10 +45,13 @@ class Stats(NamedTuple):
 
 class _Split(NamedTuple):
     start: Mapping[str, Any]
+    parameters: str
 
 
 class Recorder:
     """Records one run into the folder ``path``, made here; ``start`` is the checkpoint it starts from.
+
+    ``parameters`` are those in force there.
 
     Raises UsageError if ``path`` exists or can't be made, GearboxError if the first file can't be written.
     """
@@ -62,7 +65,6 @@ class Recorder:
         node: str = "/gearbox",
     ) -> None:
         self.path = Path(os.path.abspath(path))
-        self._parameters = dump(parameters)
         self._run = RunMetadata(
             __version__, kernel_hash(), epoch_ns, node, parameters.solver.sample_interval_ns
         )
@@ -82,7 +84,7 @@ class Recorder:
         self._changed = threading.Condition()
         _make_folder(self.path)
         try:
-            self._part = self._open_part(start)
+            self._part = self._open_part(start, dump(parameters))
         except OSError as error:
             self.path.rmdir()
             raise GearboxError(
@@ -113,9 +115,12 @@ class Recorder:
         """Hand over messages, in order; waits while the queue is full."""
         self._put(records, len(records), sum(len(record.data) for record in records))
 
-    def split(self, start: Mapping[str, Any]) -> None:
-        """Go on in a new file, complete in itself, from the checkpoint ``start`` on."""
-        self._put(_Split(start), 0, 0)
+    def split(self, start: Mapping[str, Any], parameters: Parameters) -> None:
+        """Go on in a new file, complete in itself, from the checkpoint ``start`` on.
+
+        ``parameters`` are those in force there.
+        """
+        self._put(_Split(start, dump(parameters)), 0, 0)
 
     def close(self) -> None:
         """Write what is queued, finish the file and metadata.yaml. A second call does nothing."""
@@ -158,7 +163,7 @@ class Recorder:
         while True:
             item = self._next(flush_at)
             if isinstance(item, _Split):
-                self._next_part(item.start)
+                self._next_part(item)
             elif item:
                 for record in item:
                     self._write_record(record)
@@ -190,22 +195,22 @@ class Recorder:
         self._part.write(record, self._sequences[record.topic])
         self._sequences[record.topic] += 1
 
-    def _open_part(self, start: Mapping[str, Any]) -> _PartWriter:
+    def _open_part(self, start: Mapping[str, Any], parameters: str) -> _PartWriter:
         part = _PartWriter(self.path / layout.part_name(self.path, len(self._parts)), self._topics)
         try:
-            part.begin(self._run, self._parameters, json.dumps(start))
+            part.begin(self._run, parameters, json.dumps(start))
         except OSError:
             part.discard()
             raise
         return part
 
-    def _next_part(self, start: Mapping[str, Any]) -> None:
+    def _next_part(self, split: _Split) -> None:
         self._parts.append(self._part.finish())
-        part = self._open_part(start)
+        part = self._open_part(split.start, split.parameters)
         with self._changed:
             self._earlier_bytes += self._part.size
             self._part = part
-        time_ns = self._run.epoch_ns + int(start["sample"]) * self._run.sample_interval_ns
+        time_ns = self._run.epoch_ns + int(split.start["sample"]) * self._run.sample_interval_ns
         for key, data in self._latched.items():
             self._write_record(Record(key, time_ns, data))
 

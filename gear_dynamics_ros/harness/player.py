@@ -1,0 +1,146 @@
+"""Plays a profile along the simulated time of a gearbox and measures as it goes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.harness.expectations import Expectation
+from gear_dynamics_ros.harness.profile import Profile
+from gear_dynamics_ros.harness.results import Result, unreached
+
+
+class _Window:
+    """Measures one expectation over the samples ``first`` to before ``beyond``, counted from the origin."""
+
+    def __init__(self, expectation: Expectation, column: int, interval_ns: int) -> None:
+        self._expectation = expectation
+        self._first = _samples_before(expectation.start, interval_ns)
+        self._beyond = _samples_before(expectation.end, interval_ns)
+        self._column = column
+        self._count = 0
+        self._measured = expectation.measure.begin(interval_ns)
+
+    def add(self, first_sample: int, samples: NDArray[np.float64]) -> None:
+        """Take in what lies in the window of ``samples`` (n, channels), the first being ``first_sample``."""
+        begin, end = max(self._first - first_sample, 0), min(self._beyond - first_sample, len(samples))
+        if begin < end:
+            self._measured.add(samples[begin:end, self._column])
+            self._count += end - begin
+
+    def result(self, reached: int) -> Result:
+        """The result when the samples before ``reached`` have gone by."""
+        gone_by = min(max(reached, self._first), self._beyond) - self._first
+        values = self._measured.values() if self._count else ()
+        missing = gone_by - self._count
+        return Result(self._expectation, values, self._count, missing, reached >= self._beyond)
+
+
+def _samples_before(time: float, interval_ns: int) -> int:
+    return -(-round(time * 1e9) // interval_ns)
+
+
+class Player:
+    """Follows the simulated time of a gearbox through its waveform: tells commands, measures as it goes.
+
+    The first chunk only sets the origin: profile time 0 is its end. Nothing of the waveform is stored.
+    """
+
+    def __init__(self, profile: Profile, channels: Sequence[str]) -> None:
+        """``channels`` names the waveform's columns. Raises GearboxError where a needed one is missing."""
+        needed = {"time": "to follow simulated time"}
+        needed.update({e.channel: f"by expectation {e.name!r}" for e in profile.expectations})
+        for channel, purpose in needed.items():
+            if channel not in channels:
+                raise GearboxError(
+                    f"channel {channel} is needed {purpose}, but the waveform has {', '.join(channels)}: "
+                    "add it to the gearbox's parameter waveform_channels"
+                )
+        self.profile = profile
+        self._columns = {name: column for column, name in enumerate(channels)}
+        self._windows: list[_Window] = []
+        self._interval_ns = 0
+        self._origin = 0  # sample index of profile time 0
+        self._reached = 0  # samples gone by since the origin
+
+    @property
+    def time_ns(self) -> int:
+        """Profile time reached."""
+        return self._reached * self._interval_ns
+
+    @property
+    def time(self) -> float:
+        """Profile time reached, s."""
+        return self.time_ns / 1e9
+
+    @property
+    def started_at(self) -> float:
+        """Simulated time of the gearbox at profile time 0, s."""
+        return self._origin * self._interval_ns / 1e9
+
+    @property
+    def finished(self) -> bool:
+        """True once the whole profile has gone by."""
+        return self._interval_ns > 0 and self.time_ns >= round(self.profile.duration * 1e9)
+
+    def feed(self, samples: NDArray[np.float64]) -> dict[str, float]:
+        """Take the next chunk, shape (n, channels); return the value of every command that is set by now.
+
+        Raises GearboxError where simulated time runs backwards or the chunk can't carry the profile.
+        """
+        times = samples[:, self._columns["time"]]
+        if not self._interval_ns:
+            self._begin(times)
+        else:
+            self._take(times, samples)
+        return self.commands()
+
+    def commands(self) -> dict[str, float]:
+        """The value of every command that is set by now."""
+        values = {name: track.value(self.time) for name, track in self.profile.commands.items()}
+        return {name: value for name, value in values.items() if value is not None}
+
+    def results(self) -> tuple[Result, ...]:
+        """The state of every expectation, in the profile's order."""
+        if not self._interval_ns:
+            return unreached(self.profile.expectations)
+        return tuple(window.result(self._reached) for window in self._windows)
+
+    def _begin(self, times: NDArray[np.float64]) -> None:
+        if len(times) < 2:
+            raise GearboxError(
+                "a chunk has 1 sample, drive needs at least 2: raise the gearbox's solver.chunk"
+            )
+        self._interval_ns = max(1, round((times[-1] - times[0]) / (len(times) - 1) * 1e9))
+        self._require_sampling(len(times) * self._interval_ns / 1e9)
+        self._origin = self._index(times[-1]) + 1
+        self._windows = [
+            _Window(expectation, self._columns[expectation.channel], self._interval_ns)
+            for expectation in self.profile.expectations
+        ]
+
+    def _require_sampling(self, chunk: float) -> None:
+        limit = 0.5 / chunk
+        for name, track in self.profile.commands.items():
+            if track.highest_frequency > limit:
+                raise GearboxError(
+                    f"commands.{name} asks for {track.highest_frequency:g} Hz, but one command in each chunk "
+                    f"of {chunk:g} s carries at most {limit:g} Hz: lower it or shorten solver.chunk"
+                )
+
+    def _take(self, times: NDArray[np.float64], samples: NDArray[np.float64]) -> None:
+        first = self._index(times[0]) - self._origin
+        if first < self._reached:
+            raise GearboxError(
+                f"simulated time went back from {self.started_at + self.time:g} s to {times[0]:g} s: "
+                "the gearbox was restarted, or two of them publish under this name"
+            )
+        for window in self._windows:
+            window.add(first, samples)
+        self._reached = first + len(samples)
+
+    def _index(self, time: float) -> int:
+        return round(time * 1e9 / self._interval_ns)

@@ -1,0 +1,95 @@
+"""Values over time from a CSV file, and what lies between its rows."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gear_dynamics_ros.errors import UsageError
+
+TIME = "time"
+
+
+class Series(NamedTuple):
+    """Values over time, shape (n,) each: ``times`` in s, rising from 0; ``values`` in the command's unit."""
+
+    times: NDArray[np.float64]
+    values: NDArray[np.float64]
+
+
+def linear(series: Series, time: float) -> float:
+    """Value on the straight line between the rows around ``time`` (s, >= 0)."""
+    return float(np.interp(time, series.times, series.values))
+
+
+def held(series: Series, time: float) -> float:
+    """Value of the last row at or before ``time`` (s, >= 0)."""
+    return float(series.values[np.searchsorted(series.times, time, side="right") - 1])
+
+
+Interpolation: TypeAlias = Callable[[Series, float], float]
+INTERPOLATIONS: Mapping[str, Interpolation] = {"linear": linear, "held": held}
+
+
+def load_series(path: Path, column: str) -> Series:
+    """The columns ``time`` and ``column`` of a CSV file whose first line names its columns.
+
+    Raises UsageError in one line naming file, line, value and limit.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            pairs = list(_pairs(csv.reader(file, strict=True), column))
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}; name a readable CSV file") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise UsageError(f"{path}: no CSV text: {error}") from error
+    except UsageError as error:
+        raise UsageError(f"{path}, {error}") from error
+    if not pairs:
+        raise UsageError(f"{path}: no rows below the names of the columns: add at least one")
+    times, values = zip(*pairs, strict=True)
+    return Series(np.array(times), np.array(values))
+
+
+def _pairs(rows: Iterator[Sequence[str]], column: str) -> Iterator[tuple[float, float]]:
+    names = [name.strip() for name in next(rows, [])]
+    for name in (TIME, column):
+        if names.count(name) != 1:
+            raise UsageError(
+                f"line 1: {names.count(name)} columns {name!r} in {', '.join(names)!r}, must be one"
+            )
+    earlier = -math.inf
+    for line, row in enumerate(rows, start=2):
+        if not row:
+            continue
+        if len(row) != len(names):
+            raise UsageError(f"line {line}: {len(row)} columns, must be {len(names)} as in line 1")
+        time = _finite(row[names.index(TIME)], TIME, line)
+        _require_later(time, earlier, line)
+        earlier = time
+        yield time, _finite(row[names.index(column)], column, line)
+
+
+def _require_later(time: float, earlier: float, line: int) -> None:
+    if math.isinf(earlier) and time != 0.0:
+        raise UsageError(
+            f"line {line}: the first time is {time:g} s, must be 0: count it from the entry's start"
+        )
+    if time <= earlier:
+        raise UsageError(f"line {line}: time is {time:g} s, must be later than {earlier:g} s above")
+
+
+def _finite(text: str, name: str, line: int) -> float:
+    try:
+        value = math.nan if "_" in text else float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise UsageError(f"line {line}: {name} is {text!r}, must be a finite number")
+    return value

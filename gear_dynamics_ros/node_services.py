@@ -1,0 +1,92 @@
+"""The node's services: each asks one thing of the session and answers what was done, or why it was not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any
+
+from rclpy.node import Node
+from std_srvs.srv import SetBool, Trigger
+
+from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.session import Session
+
+Act = Callable[[Any], str]
+Find = Callable[[], Session]
+
+
+def create_services(node: Node, active: Find, restored: Callable[[Session], None]) -> list[Any]:
+    """Every service of the node, below its name.
+
+    ``active`` finds the session that is active, or raises GearboxError; ``restored`` is called after a
+    checkpoint has been restored.
+    """
+
+    def restore(_: Any) -> str:
+        session = active()
+        answer = session.restore_checkpoint()
+        restored(session)
+        return answer
+
+    plain: dict[str, tuple[Any, Act]] = {
+        "reset": (Trigger, lambda _: active().reset()),
+        "split": (Trigger, lambda _: active().split()),
+        "save_checkpoint": (Trigger, lambda _: active().save_checkpoint()),
+        "restore_checkpoint": (Trigger, restore),
+        "pause": (SetBool, lambda request: active().pause(request.data)),
+        "record": (SetBool, lambda request: active().record(request.data)),
+    }
+    services = [node.create_service(kind, f"~/{name}", _serve(act)) for name, (kind, act) in plain.items()]
+    return [*services, _create_step_service(node, active)]
+
+
+def _serve(act: Act) -> Callable[[Any, Any], Any]:
+    def answer(request: Any, response: Any) -> Any:
+        try:
+            response.message = act(request)
+            response.success = True
+        except GearboxError as error:
+            response.message = str(error)
+            response.success = False
+        return response
+
+    return answer
+
+
+def _create_step_service(node: Node, active: Find) -> Any:
+    """``~/step``, answered when the chunks are made; meanwhile all other calls are served.
+
+    rclpy sends what a callback returns at once, and its executor driven by events knows no coroutines. So
+    the sending itself is put off until then.
+    """
+    under_way: dict[int, Future[float]] = {}
+
+    def begin(_: Any, response: Any) -> Any:
+        try:
+            under_way[id(response)] = active().step()
+        except GearboxError as error:
+            response.message = str(error)
+        return response
+
+    service = node.create_service(Trigger, "~/step", begin)
+    send = service.send_response
+
+    def send_when_done(response: Any, header: Any) -> None:
+        steps = under_way.pop(id(response), None)
+        if steps is None:
+            send(response, header)
+        else:
+            steps.add_done_callback(lambda done: send(_result(done, response), header))
+
+    service.send_response = send_when_done  # type: ignore[method-assign]
+    return service
+
+
+def _result(steps: Future[float], response: Any) -> Any:
+    try:
+        response.message = f"simulated {steps.result():.9g} s"
+        response.success = True
+    except GearboxError as error:
+        response.message = str(error)
+    return response

@@ -1,0 +1,189 @@
+"""One run of the node, from its first activation to its end, and what an operator may ask of it; no ROS."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from pathlib import Path
+
+from gear_dynamics_ros import checkpoints, model_info
+from gear_dynamics_ros.commands import Mailbox
+from gear_dynamics_ros.condition import ConditionSink
+from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.live import Live
+from gear_dynamics_ros.messages import Encoder, Record
+from gear_dynamics_ros.pacing import Pace
+from gear_dynamics_ros.parameters import Parameters, differences
+from gear_dynamics_ros.recordings import Recordings
+from gear_dynamics_ros.run import PAUSE, RESUME, Run, Sink
+from gear_dynamics_ros.signals import Chunk
+
+
+class Session:
+    """Engine thread, sinks and recordings of one run.
+
+    Simulated time 0 is the moment it is made, so that stamps run along with the wall clock at real-time
+    factor 1.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        mailbox: Mailbox,
+        sinks: Sequence[Sink],
+        node: str,
+        ended: Callable[[Session], None],
+    ) -> None:
+        """``node`` is the full name; ``ended`` is called on the engine's thread when the run has ended."""
+        parameters = engine.parameters
+        self.epoch_ns = time.time_ns()
+        self.condition = ConditionSink()
+        self._node = node
+        self._ended = ended
+        self._encoder = Encoder(parameters, self.epoch_ns)
+        self._run = Run(engine, self._encoder, [*sinks, self.condition], duration=parameters.pacing.duration)
+        self.recordings = Recordings(parameters.recording.path, self._run, self.epoch_ns, node)
+        self.live = Live(self._run, mailbox, self._clock, self._run_ended)
+        self._clock_ns = round(1e9 / parameters.clock_rate) if parameters.clock_rate > 0.0 else 0
+        self._next_clock_ns = 0
+        self._started = False
+
+    @property
+    def parameters(self) -> Parameters:
+        """Parameters in force."""
+        return self._run.engine.parameters
+
+    @property
+    def completed(self) -> bool:
+        """Whether the run ended because ``pacing.duration`` has been simulated."""
+        return self._run.completed and not self._run.tripped
+
+    @property
+    def now_ns(self) -> int:
+        """Stamp of the present simulated time."""
+        return self.epoch_ns + self._run.engine.sample * self.parameters.solver.sample_interval_ns
+
+    def start(self) -> None:
+        """Begin, or go on where ``stop`` left."""
+        if not self._started:
+            self._started = True
+            self._tell()
+        elif not self.live.paused:
+            self._run.note(RESUME, "activated")
+        self.live.start()
+
+    def stop(self) -> None:
+        """Stand still without losing a sample."""
+        self.live.stop()
+        if not self.live.paused:
+            self._run.note(PAUSE, "deactivated")
+
+    def finish(self, reason: str) -> None:
+        """End the run and close every sink."""
+        self.live.stop()
+        self._run.finish(reason)
+        self._run.close()
+
+    def change(self, parameters: Parameters) -> None:
+        """Go on with ``parameters`` from the next chunk edge on. Raises UsageError where one is fixed."""
+        if differences(self.parameters, parameters):
+            self.live.call(lambda: self.live.change(parameters))
+            self._tell()
+
+    def report(self, pace: Pace) -> None:
+        """Publish and record how well the pace is kept."""
+        row = (self.live.time, pace.real_time_factor, self.parameters.pacing.real_time_factor, *pace[1:])
+        self.live.post([self._encoder.pacing(self.now_ns, row)])
+
+    # What services ask for: each returns what it did, in words, and raises GearboxError where it can't be.
+
+    def reset(self) -> str:
+        """Back to the start state and the commands of the parameters."""
+        return f"back at the start state{self._restart(self._run.reset)}"
+
+    def pause(self, paused: bool) -> str:
+        """Let simulated time stand, or go on."""
+        changed = self.live.call(lambda: self.live.pause(paused))
+        return f"{'' if changed else 'already '}{'paused' if paused else 'running'} at {self.live.time:.9g} s"
+
+    def step(self) -> Future[float]:
+        """``stepping.chunks`` chunks while paused; the future gets the simulated time reached, s."""
+        stepping = self.parameters.stepping
+        return self.live.step(stepping.chunks, stepping.timeout)
+
+    def split(self) -> str:
+        """Go on recording in a new file."""
+        self.live.call(self.recordings.split)
+        return "split"
+
+    def record(self, wanted: bool) -> str:
+        """Begin a recording, or finish the present one."""
+        if wanted:
+            path = self.live.call(lambda: self.recordings.begin(beside=True))
+            self._tell()
+            return f"recording to {path}"
+        recorder = self.live.call(self.recordings.end)
+        if recorder is None:
+            return "nothing was recorded"
+        recorder.close()
+        if recorder.error is not None:
+            raise GearboxError(recorder.error)
+        return f"recorded {recorder.path}"
+
+    def save_checkpoint(self) -> str:
+        """Write the state of this moment to ``checkpoint.path``."""
+        path = self._checkpoint_path()
+        saved = self.live.call(lambda: checkpoints.take(self._run.engine))
+        checkpoints.save(path, saved)
+        return f"saved {path}, taken at {self.live.time:.9g} s"
+
+    def restore_checkpoint(self) -> str:
+        """Go on from the state in ``checkpoint.path``."""
+        path = self._checkpoint_path()
+        saved = checkpoints.load(path)
+        parameters = checkpoints.continued(saved, self.parameters)
+
+        def restore() -> None:
+            self.live.change(parameters)
+            self._run.restore(saved.checkpoint, str(path))
+
+        return f"restored {path}{self._restart(restore)}"
+
+    def _restart(self, begin: Callable[[], None]) -> str:
+        """Put the run anew where ``begin`` does; record anew if its end had closed the recording."""
+
+        def restart() -> str:
+            record_anew = self.recordings.wanted and bool(self.live.ended) and self.recordings.current is None
+            self.live.restart(begin)
+            self.condition.clear()
+            return f", recording to {self.recordings.begin(beside=True)}" if record_anew else ""
+
+        more = self.live.call(restart)
+        self._tell()
+        return more
+
+    def _checkpoint_path(self) -> Path:
+        path = self.parameters.checkpoint.path
+        if not path:
+            raise GearboxError("checkpoint.path is empty: start the node with a file for checkpoints")
+        return Path(path).absolute()
+
+    def _tell(self) -> None:
+        """Publish and record what the model is, after whatever changed it."""
+        text = model_info.describe(self.parameters, self.epoch_ns, self._node)
+        self.live.post([self._encoder.model_info(self.now_ns, text)])
+
+    def _clock(self, chunk: Chunk) -> list[Record]:
+        if not self._clock_ns or not len(chunk) or chunk.last_ns < self._next_clock_ns:
+            return []
+        self._next_clock_ns = chunk.last_ns + self._clock_ns
+        return [self._encoder.clock(self.epoch_ns + chunk.last_ns)]
+
+    def _run_ended(self) -> None:
+        if not self.completed:
+            recorder = self.recordings.end()
+            if recorder is not None:
+                recorder.close()
+        self._ended(self)

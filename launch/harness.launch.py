@@ -1,0 +1,58 @@
+"""Play a profile to a gearbox of its own: ``ros2 launch gear_dynamics_ros harness.launch.py profile:=FILE``.
+
+Takes the arguments of gearbox.launch.py too. It ends with the profile; the exit code is 0 if that was played
+and every expectation held, else 1.
+"""
+
+from pathlib import Path
+from typing import Any
+
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction, Shutdown
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+
+def generate_launch_description() -> LaunchDescription:
+    share = Path(get_package_share_directory("gear_dynamics_ros"))
+    profile = share / "config" / "profiles" / "load_step.yaml"
+    gearbox = share / "launch" / "gearbox.launch.py"
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("profile", default_value=str(profile), description="profile to play"),
+            DeclareLaunchArgument(
+                "junit", default_value="", description="file for the results as JUnit XML, empty for none"
+            ),
+            IncludeLaunchDescription(PythonLaunchDescriptionSource(str(gearbox))),
+            OpaqueFunction(function=_drive),
+        ]
+    )
+
+
+def _drive(context: LaunchContext) -> list[Node]:
+    chosen = {
+        name: LaunchConfiguration(name).perform(context) for name in ("profile", "junit", "namespace", "name")
+    }
+    node = f"/{chosen['namespace'].strip('/')}/{chosen['name']}".replace("//", "/")
+    # The first start on a machine compiles the kernel.
+    arguments = [chosen["profile"], "--node", node, "--wait", "120"]
+    if chosen["junit"]:
+        arguments += ["--junit", chosen["junit"]]
+    return [
+        Node(
+            package="gear_dynamics_ros",
+            executable="drive",
+            arguments=arguments,
+            output="screen",
+            on_exit=_end,
+        )
+    ]
+
+
+def _end(event: Any, context: LaunchContext) -> list[Shutdown]:
+    """Launch has no other way to an exit code of its own than an error."""
+    if event.returncode != 0:
+        raise RuntimeError(f"drive ended with exit code {event.returncode}")
+    return [Shutdown(reason="the profile was played, every expectation held")]
