@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import platform
 import random
+import socket
 import sys
 import tempfile
 import time
@@ -22,16 +24,19 @@ from std_srvs.srv import Trigger
 
 from gear_dynamics_ros import palette
 from gear_dynamics_ros.cli.common import FAILURE, Progress, guarded
-from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages import TOPICS, deserialize
 from gear_dynamics_ros.parameters import load
 
 DURATION = 600.0  # s of wall time, as are the next
+SHORTEST = 3.0  # diagnostics come once a second
 SETTLE = 2.0
 PATIENCE = 120.0  # a first start compiles the kernel
 COMMAND_INTERVAL = 0.05
 SPLIT_INTERVAL = 20.0
-MEMORY_SETTLES = 60.0
+# Rerun's server keeps the newest 256 MiB; before it is full nothing can be said of memory.
+MEMORY_SETTLES = 300.0
+MEMORY_JUDGED = 60.0  # at least
 LOAD_TORQUE = (20.0, 40.0)  # N m
 CHUNKS_PER_OVERRUN = 10_000
 MEMORY_GROWTH = 16.0  # MiB
@@ -89,14 +94,19 @@ def main() -> int:
 
 
 def soak(duration: float) -> Found:
-    """Run the node for ``duration`` s of wall time. Raises GearboxError if it ends or does not serve."""
+    """Run the node for ``duration`` s of wall time.
+
+    Raises UsageError if that is too short, GearboxError if the node ends or does not serve.
+    """
+    if not SHORTEST <= duration < math.inf:
+        raise UsageError(f"--duration {duration:g}: it takes at least {SHORTEST:g} s, and an end")
     parameters = load(PARAMETERS, [])
     samples = Samples(parameters.solver.sample_interval_ns)
     looks: list[Look] = []
     commands = 0
     with tempfile.TemporaryDirectory(prefix="soak") as folder:
-        bag, stream = Path(folder) / "bag", Path(folder) / "gearbox.rrd"
-        sinks = {"recording.path": bag, "rerun.mode": "save", "rerun.path": stream}
+        bag = Path(folder) / "bag"
+        sinks = {"recording.path": bag, "rerun.mode": "serve", "rerun.port": free_port()}
         with running(sinks) as node, Client(node) as client, Progress("soaking", round(duration)) as progress:
             client.hear("waveform", samples.take)
             client.hear("diagnostics", lambda arrival: looks.append(look(arrival.data, node)))
@@ -110,7 +120,7 @@ def soak(duration: float) -> Found:
                 publisher.publish(Float64(data=random.uniform(*LOAD_TORQUE)))
                 commands += 1
                 splitter.split(elapsed)
-                make_room(bag, stream)
+                make_room(bag)
                 progress(int(elapsed))
                 client.listen(COMMAND_INTERVAL)
             share = (busy(node) - worked) / elapsed
@@ -150,13 +160,18 @@ def busy(node: NodeProcess) -> float:
     return sum(node.thread_seconds().values())
 
 
-def make_room(bag: Path, stream: Path) -> None:
-    """Remove what nobody will read: the finished files of the recording, and what Rerun has written."""
-    finished = sorted(bag.glob("*.mcap"), key=lambda part: part.stat().st_mtime_ns)[:-1]
-    for part in finished:
+def free_port() -> int:
+    """Port that nobody on this machine listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def make_room(bag: Path) -> None:
+    """Remove the finished files of the recording."""
+    for part in sorted(bag.glob("*.mcap"), key=lambda part: part.stat().st_mtime_ns)[:-1]:
         part.unlink()
-    if finished and stream.exists():
-        os.truncate(stream, 0)
 
 
 class _Splitter:
@@ -228,10 +243,10 @@ def rows(found: Found) -> list[Row]:
 
 def memory_row(looks: list[Look]) -> Row:
     """What a line through the memory gains after it has settled."""
-    name, asked = "memory gained after the first minute, MiB", f"at most {MEMORY_GROWTH:g}"
+    name, asked = f"memory gained after {MEMORY_SETTLES:g} s, MiB", f"at most {MEMORY_GROWTH:g}"
     times, memory = np.array([(look.time - looks[0].time, look.memory) for look in looks]).T
     settled = times >= MEMORY_SETTLES
-    if times[-1] < 2.0 * MEMORY_SETTLES:
+    if times[-1] < MEMORY_SETTLES + MEMORY_JUDGED:
         return Row(name, "too short to tell", asked)
     slope = np.polyfit(times[settled], memory[settled], 1)[0]
     gained = float(slope * (times[-1] - MEMORY_SETTLES))
@@ -246,9 +261,10 @@ def page(found: Found, table: list[Row]) -> list[str]:
         f"Made by `make soak` on {processor()} ({os.cpu_count()} logical processors), "
         f"Python {platform.python_version()}: the node with gearbox.yaml at real-time factor 1 for "
         f"{found.duration:.0f} s, all channels at 100 kHz, recording (`~/split` called {found.splits} times) "
-        f"and Rerun (save) on, {found.commands} commands at {1.0 / COMMAND_INTERVAL:g} Hz. A process beside "
+        f"and Rerun (serve) on, {found.commands} commands at {1.0 / COMMAND_INTERVAL:g} Hz. A process beside "
         "it follows the time of every sample of `~/waveform`; the rest is from `/diagnostics`, once a "
-        "second, and the system. Memory gained is what a straight line through the resident memory rises.",
+        "second, and the system. Memory gained is what a straight line through the resident memory rises, "
+        "once Rerun's server holds all that it may (256 MiB).",
         "",
         "| figure | value | asked | |",
         "|---|---|---|---|",

@@ -8,8 +8,31 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
+
+from gear_dynamics_ros.messages import ARRAY, serialize, waveform_message
+from gear_dynamics_ros.signals import CHANNEL_NAMES
+
 SOAK = Path(__file__).resolve().parent.parent / "benchmarks" / "soak.py"
 SAMPLE_RATE = 100_000
+INTERVAL_NS = 10_000
+
+
+def waveform(*numbers):
+    """Message of the samples with these numbers."""
+    rows = np.zeros((len(numbers), len(CHANNEL_NAMES)))
+    rows[:, 0] = np.array(numbers) * INTERVAL_NS * 1e-9
+    return serialize(ARRAY, waveform_message(CHANNEL_NAMES, rows))
+
+
+def test_the_listener_counts_what_is_lost_and_doubled(monkeypatch):
+    monkeypatch.syspath_prepend(SOAK.parent)
+    from live_node import Arrival, Samples
+
+    samples = Samples(INTERVAL_NS)
+    for numbers in [(7, 8, 9), (10, 11), (14, 15), (15, 16), (17, 19, 20)]:
+        samples.take(Arrival(waveform(*numbers), 0))
+    assert (samples.heard, samples.lost, samples.doubled) == (12, 3, 1)
 
 
 def test_every_sample_arrives_and_the_page_says_so(process, tmp_path):
@@ -25,6 +48,12 @@ def test_every_sample_arrives_and_the_page_says_so(process, tmp_path):
     late = rows["overruns"][1] == "missed"
     assert code == (1 if late else 0), soak.output
     assert [path.name for path in tmp_path.iterdir() if path != page] == ["soak.png"]
+
+
+def test_a_duration_too_short_to_tell_anything_is_refused(process):
+    soak = process(sys.executable, SOAK, "--duration", "0.5")
+    assert soak.wait() == 2
+    assert soak.stderr == "soak: error: --duration 0.5: it takes at least 3 s, and an end\n"
 
 
 def test_ctrl_c_ends_the_node_and_leaves_nothing(process, tmp_path):
