@@ -100,7 +100,8 @@ def sections() -> list[Section]:
             "The node in a process of its own with gearbox.yaml at real-time factor 1, this one listening to "
             "its waveform. From publishing a load torque, at any phase of a chunk, to having the first "
             "`joint_states` that shows it; the goal is chunk, computing (the engine alone) and "
-            f"{1e3 * latency.ALLOWANCE:g} ms. Period: between two `joint_states`.",
+            f"{1e3 * latency.ALLOWANCE:g} ms. Bare loop: sleeps to each edge and computes as long, without "
+            "node, ROS or listener; what it is late is the machine's own. Period: between two `joint_states`.",
             latency.latency,
         ),
         Section(

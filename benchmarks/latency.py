@@ -30,6 +30,7 @@ THREADS = ("engine", "main", "recorder", "viewer", "dds")
 SETTLE = 1.5  # s of wall time in which caches fill and discovery ends
 WATCHED = 6.0  # s of wall time
 COMPUTED = 0.2  # s of simulated time
+BARE = 4.0  # s of wall time
 PATIENCE = 60.0
 ANSWER_PATIENCE = 1.0
 
@@ -54,12 +55,14 @@ def latency() -> list[str]:
     """Rows for each length of chunk."""
     lines = [
         "| chunk, ms | commands | unanswered | computing, ms | latency, ms: median | p99 | largest "
-        "| goal for p99 | period less chunk, us: median | p99 | largest | samples heard | lost | doubled |",
-        "|---" * 14 + "|",
+        "| goal for p99 | bare loop late, ms: p99 | largest "
+        "| period less chunk, us: median | p99 | largest | samples heard | lost | doubled |",
+        "|---" * 16 + "|",
     ]
     for chunk, count in COMMANDS.items():
         parameters = speed.parameters_of("gearbox", f"solver.chunk={chunk}")
         computing = computing_time(parameters)
+        bare = 1e3 * np.percentile(bare_loop(parameters.solver.chunk, computing), (99, 100))
         found = responses(parameters, count)
         middle, late, latest = 1e3 * np.percentile(found.latencies, (50, 99, 100))
         jitter = 1e6 * np.percentile(np.abs(found.periods - parameters.solver.chunk), (50, 99, 100))
@@ -67,7 +70,7 @@ def latency() -> list[str]:
         goal = verdict(f"{limit:.2f}", late / limit) if chunk == LATENCY_CHUNK else ""
         lines.append(
             f"| {1e3 * parameters.solver.chunk:g} | {count} | {found.unanswered} | {1e3 * computing:.2f} "
-            f"| {middle:.2f} | {late:.2f} | {latest:.2f} | {goal} "
+            f"| {middle:.2f} | {late:.2f} | {latest:.2f} | {goal} | {bare[0]:.2f} | {bare[1]:.2f} "
             f"| {jitter[0]:.0f} | {jitter[1]:.0f} | {jitter[2]:.0f} | {cells(found.samples)} |"
         )
     return lines
@@ -107,6 +110,20 @@ def computing_time(parameters: Parameters) -> float:
         engine.advance()
         times.append(time.perf_counter() - began)
     return float(np.median(times))
+
+
+def bare_loop(chunk: float, computing: float) -> NDArray[np.float64]:
+    """By how much a loop is late that sleeps to each edge and then computes, with nothing else at work; s."""
+    late = []
+    edge = time.perf_counter()
+    for _ in range(round(BARE / chunk)):
+        edge += chunk
+        time.sleep(max(0.0, edge - time.perf_counter()))
+        done = time.thread_time() + computing
+        while time.thread_time() < done:
+            pass
+        late.append(time.perf_counter() - edge - computing)
+    return np.array(late)
 
 
 def responses(parameters: Parameters, count: int) -> Responses:
