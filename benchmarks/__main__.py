@@ -101,7 +101,7 @@ def sections() -> list[Section]:
             "its waveform. From publishing a load torque, at any phase of a chunk, to having the first "
             "`joint_states` that shows it; the goal is chunk, computing (the engine alone) and "
             f"{1e3 * latency.ALLOWANCE:g} ms. Bare loop: sleeps to each edge and computes as long, without "
-            "node, ROS or listener; what it is late is the machine's own. Period: between two `joint_states`.",
+            "node, ROS or listener: the lateness of the machine itself. Period: between two `joint_states`.",
             latency.latency,
         ),
         Section(
