@@ -26,6 +26,7 @@ from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
@@ -516,6 +517,7 @@ def test_duration_ends_the_node_with_a_complete_recording(ros_domain, process, t
         ("recording.path:=/", ["recording.path", "exists"]),
         ("checkpoint.path:=/nowhere/state.json", ["checkpoint.path", "/nowhere", "does not exist"]),
         ("mesh.error_cos:=[]", ["array"]),
+        ("qos_overrides./gearbox/dte.publisher.reliability:=sometimes", ["qos_overrides", "reliability"]),
     ],
 )
 def test_a_wrong_parameter_stops_the_start_with_one_line(ros_domain, process, override, words):
@@ -559,6 +561,22 @@ def test_the_clock_runs_at_its_own_rate_and_two_publishers_are_told_once(ros_dom
         assert status.level == DiagnosticStatus.WARN
         client.statuses()
         assert node.output.count("has several publishers") == 1
+    finally:
+        client.close()
+
+
+def test_quality_of_service_can_be_overridden(ros_domain, process):
+    gearbox(process, "qos_overrides./gearbox/dte.publisher.reliability:=best_effort")
+    client = Client()
+
+    def offered(name):
+        found = client.node.get_publishers_info_by_topic(name)
+        return [endpoint.qos_profile.reliability for endpoint in found]
+
+    try:
+        client.until(lambda: offered("/gearbox/dte") and offered("/gearbox/mesh_force"))
+        assert offered("/gearbox/dte") == [ReliabilityPolicy.BEST_EFFORT]
+        assert offered("/gearbox/mesh_force") == [ReliabilityPolicy.RELIABLE]
     finally:
         client.close()
 
