@@ -48,9 +48,9 @@ class Saved(NamedTuple):
 
 def require_place(path: Path) -> None:
     """Raise UsageError unless a checkpoint can stand at ``path``."""
-    if path.is_dir():
+    if os.path.isdir(path):
         raise UsageError(f"checkpoint.path: '{path}' is a folder: name a file in it")
-    if not path.parent.is_dir():
+    if not os.path.isdir(path.parent):
         raise UsageError(
             f"checkpoint.path: the folder '{path.parent}' does not exist: make it or choose another path"
         )

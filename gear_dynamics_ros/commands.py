@@ -54,7 +54,11 @@ class Mailbox:
         speed_limit = parameters.operation.speed_limit
         torques = {name: rows[f"operation.{name}"] for name in ("drive_torque", "load_torque")}
         bounds = {
-            name: (row.minimum or -math.inf, row.maximum or math.inf) for name, row in torques.items()
+            name: (
+                -math.inf if row.minimum is None else row.minimum,
+                math.inf if row.maximum is None else row.maximum,
+            )
+            for name, row in torques.items()
         } | {"speed": (-speed_limit, speed_limit)}
         with self._lock:
             self._bounds = bounds
@@ -77,6 +81,12 @@ class Mailbox:
                 self._unrecorded += len(self._received) == MOST_RECEIVED
                 self._received.append((topic, data))
         return refusal
+
+    def refuse(self, reason: str) -> None:
+        """Count a message that can't be read."""
+        with self._lock:
+            self._refused += 1
+            self._last_refusal = reason
 
     def take(self, now_ns: int) -> Delivery:
         """Everything since the last call."""

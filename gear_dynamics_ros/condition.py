@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from gear_dynamics_ros.messages import Record
 from gear_dynamics_ros.signals import COLUMN, ENERGIES, Chunk
 
-STRETCHES: Final = 10
-STRETCH_NS: Final = 100_000_000
+STRETCHES: Final = 50
+STRETCH_NS: Final = 20_000_000
 _MESH_LOSS: Final = [energy.name for energy in ENERGIES].index("mesh_loss")
 
 
@@ -53,15 +53,14 @@ class ConditionSink:
         self._lock = threading.Lock()
         self._stretches: deque[_Stretch] = deque(maxlen=STRETCHES)
         self._chunks: list[Chunk] = []
-        self._mesh_loss: float | None = 0.0  # J at the end of the last stretch; None: unknown
+        self._mesh_loss = 0.0  # J at the end of the last stretch
 
     def write(self, chunk: Chunk | None, _: Sequence[Record]) -> None:
         if chunk is None or not len(chunk):
             return
-        if self._mesh_loss is None:
-            self._mesh_loss = float(chunk.energies[_MESH_LOSS])
         self._chunks.append(chunk)
-        # Chunks are looked at together: a chunk alone would pay for a dozen calls of NumPy.
+        # Some chunks are looked at together: each alone would pay for a dozen calls of NumPy, and many
+        # together would make the one late that they are added up in.
         if chunk.last_ns - self._chunks[0].start_ns + chunk.interval_ns >= STRETCH_NS:
             stretch = self._summary()
             with self._lock:
@@ -70,15 +69,18 @@ class ConditionSink:
     def close(self) -> None:
         """Nothing to finish."""
 
-    def clear(self) -> None:
-        """Forget what was before a reset or a restore. On the thread that writes."""
+    def clear(self, mesh_loss: float) -> None:
+        """Forget what was before a reset or a restore, after which the ledger goes on at ``mesh_loss`` J.
+
+        On the thread that writes.
+        """
         self._chunks.clear()
-        self._mesh_loss = None
+        self._mesh_loss = mesh_loss
         with self._lock:
             self._stretches.clear()
 
     def report(self) -> Condition | None:
-        """Figures of the last second; None before the first tenth of a second."""
+        """Figures of the last second; None before the first stretch of it."""
         with self._lock:
             found = list(self._stretches)
         if not found:
@@ -108,7 +110,7 @@ class ConditionSink:
         dte, state = rows[:, COLUMN["dte"]], rows[:, COLUMN["meshing_state"]]
         interval = chunks[0].interval_ns * 1e-9
         power = np.dot(rows[:, COLUMN["drive_torque"]], rows[:, COLUMN["driving_speed"]])
-        before, self._mesh_loss = self._mesh_loss or 0.0, float(chunks[-1].energies[_MESH_LOSS])
+        before, self._mesh_loss = self._mesh_loss, float(chunks[-1].energies[_MESH_LOSS])
         return _Stretch(
             samples=len(rows),
             time_ns=len(rows) * chunks[0].interval_ns,

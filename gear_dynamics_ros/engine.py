@@ -146,6 +146,11 @@ class Engine:
         """Totals since the start or the last reset."""
         return Counters(*(int(self._state[name][0]) for name in Counters._fields))
 
+    @property
+    def mesh_loss(self) -> float:
+        """Energy that the mesh has lost since the start or the last reset, J, as of the last call."""
+        return float(self._state["mesh_loss"][0])
+
     def checkpoint(self) -> dict[str, Any]:
         """Everything that decides the future, as JSON keeps it exactly."""
         return {
@@ -169,9 +174,7 @@ class Engine:
         All comes out as after ``restore``, at other times. Raises GearboxError, changing nothing, if it can't
         be one, or is of a run that had ended.
         """
-        found = _read_checkpoint(checkpoint)
-        if found.status is not Status.RUNNING:
-            raise GearboxError("the checkpoint is of a run that had ended: take an earlier one")
+        found = _read_resumable(checkpoint)
         found.state["impact_time"] += (self.sample - found.sample) * self._interval_ns / 1e9
         self._take(found._replace(sample=self.sample))
 
@@ -195,6 +198,11 @@ class Engine:
         return ""
 
 
+def require_resumable(checkpoint: Mapping[str, Any]) -> None:
+    """Raise GearboxError where ``Engine.resume`` would."""
+    _read_resumable(checkpoint)
+
+
 class _Checkpoint(NamedTuple):
     sample: int
     status: Status
@@ -203,6 +211,13 @@ class _Checkpoint(NamedTuple):
 
 
 _STATE_NAMES = kernel.STATE.names or ()
+
+
+def _read_resumable(checkpoint: Mapping[str, Any]) -> _Checkpoint:
+    found = _read_checkpoint(checkpoint)
+    if found.status is not Status.RUNNING:
+        raise GearboxError("the checkpoint is of a run that had ended: take an earlier one")
+    return found
 
 
 def _read_checkpoint(checkpoint: Mapping[str, Any]) -> _Checkpoint:

@@ -14,9 +14,9 @@ from typing import TypeVar
 from gear_dynamics_ros.commands import Mailbox
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.messages import Record
+from gear_dynamics_ros.messages import Encoder, Record
 from gear_dynamics_ros.pacing import Pace, Pacer
-from gear_dynamics_ros.parameters import Operation, Parameters
+from gear_dynamics_ros.parameters import Operation, Parameters, updated
 from gear_dynamics_ros.run import PAUSE, RESUME, Run
 from gear_dynamics_ros.signals import Chunk, Counters
 from gear_dynamics_ros.threads import name_thread
@@ -97,6 +97,11 @@ class Live:
         return self._timed_out
 
     @property
+    def failed(self) -> bool:
+        """Whether something else than the model ended the run."""
+        return bool(self._failure)
+
+    @property
     def ended(self) -> str:
         """Why the run ended or failed; empty while it can go on."""
         return self._failure or self.run.end
@@ -104,6 +109,7 @@ class Live:
     def start(self) -> None:
         """Begin, or go on where ``stop`` left."""
         self._stopping = False
+        self.mailbox.forget()
         self._restart_clocks()
         self._thread = threading.Thread(target=self._work, name="engine", daemon=True)
         self._thread.start()
@@ -119,26 +125,32 @@ class Live:
         self._thread = None
 
     def call(self, action: Callable[[], T]) -> T:
-        """Result of ``action``, done between two chunks; raises what it raises."""
+        """Result of ``action``, done between two chunks; raises what it raises.
+
+        What it takes is no overrun: deadlines slip by it.
+        """
         if not self.active:
             return action()
         future: Future[T] = Future()
 
         def serve() -> None:
+            began = time.monotonic_ns()
             try:
                 future.set_result(action())
             except Exception as error:
                 future.set_exception(error)
+            with self._figures:
+                self._pacer.excuse(time.monotonic_ns() - began)
 
         self._request(serve)
         return future.result()
 
-    def post(self, records: Sequence[Record]) -> None:
-        """Let ``records`` go to the sinks between two chunks, without waiting for it."""
+    def post(self, make: Callable[[], Sequence[Record]]) -> None:
+        """Let what ``make`` makes go to the sinks between two chunks, without waiting for it."""
         if self.active:
-            self._request(lambda: self.run.emit(records))
+            self._request(lambda: self.run.emit(make()))
         else:
-            self.run.emit(records)
+            self.run.emit(make())
 
     def step(self, chunks: int, timeout: float) -> Future[float]:
         """Make ``chunks`` chunks while paused, as fast as possible; the future gets the simulated time in s.
@@ -151,7 +163,11 @@ class Live:
         return steps.done
 
     def pause(self, paused: bool) -> bool:
-        """Stand still, or go on; returns whether that changed anything. For ``call``."""
+        """Stand still, or go on; returns whether that changed anything. For ``call``.
+
+        Raises GearboxError if the run has ended.
+        """
+        self._require_going()
         if paused == self._paused:
             return False
         self._paused = paused
@@ -163,7 +179,7 @@ class Live:
     def restart(self, begin: Callable[[], None]) -> None:
         """Let ``begin`` put the run somewhere; clocks and mailbox are as at the beginning. For ``call``."""
         begin()
-        self._give_up_steps("aborted: reset")
+        self._give_up_steps("aborted: put elsewhere by a reset or a restore")
         self._failure = ""
         self._end_told = False
         self._timed_out = False
@@ -197,13 +213,16 @@ class Live:
     def _begin(self, steps: Steps) -> None:
         if not self._paused:
             raise GearboxError("not paused: ~/step makes chunks while paused, call ~/pause first")
-        if self.ended:
-            raise GearboxError(f"the run has ended ({self.ended}): call ~/reset first")
+        self._require_going()
         if self._steps is not None:
             raise GearboxError(
                 f"stepping already, {self._steps.made} of {self._steps.chunks} chunks are made: wait for it"
             )
         self._steps = steps
+
+    def _require_going(self) -> None:
+        if self.ended:
+            raise GearboxError(f"the run has ended ({self.ended}): call ~/reset first")
 
     def _give_up_steps(self, reason: str) -> None:
         steps, self._steps = self._steps, None
@@ -217,22 +236,27 @@ class Live:
 
     def _work(self) -> None:
         name_thread()
-        going = True
-        while going:
+        while True:
             try:
-                going = self._wait()
-                if going:
-                    self._make()
+                if not self._wait():
+                    break
+                self._make()
             except Exception as error:
-                # The node must stay to tell; a reset may recover.
-                self._failure = str(error) or repr(error)
-                with contextlib.suppress(Exception):  # the sink that failed may fail again
-                    self.run.finish(self._failure)
+                self._fail(error)
             if self.ended and not self._end_told:
                 self._end_told = True
                 self._give_up_steps(f"aborted: {self.ended}")
-                self._on_end()
+                try:
+                    self._on_end()
+                except Exception as error:
+                    self._fail(error)
         self._give_up_steps("aborted: deactivated")
+
+    def _fail(self, error: Exception) -> None:
+        """End the run: the node must stay to tell, and a reset may recover."""
+        self._failure = self._failure or str(error) or repr(error)
+        with contextlib.suppress(Exception):  # the sink that failed may fail again
+            self.run.finish(self._failure)
 
     def _make(self) -> None:
         if self._steps is None:
@@ -246,12 +270,10 @@ class Live:
             with self._wake:
                 if not self._requests and not self._stopping:
                     self._wake.wait(self._patience())
-                actions = list(self._requests)
-                self._requests.clear()
-                stopping = self._stopping
-            for action in actions:
-                action()
-            if stopping:
+            # One by one: if one fails, those behind it are still there.
+            while self._requests:
+                self._requests.popleft()()
+            if self._stopping:
                 return False
             if self._patience() == 0.0:
                 return True
@@ -286,7 +308,7 @@ class Live:
         delivery = self.mailbox.take(now)
         self._chunk(delivery.changes, delivery.received)
         steps.made += 1
-        if steps.made == steps.chunks:
+        if steps.made == steps.chunks and not self.ended:
             self._steps = None
             steps.done.set_result(self.time)
 
@@ -307,15 +329,19 @@ class Live:
 
 
 def warm_up(parameters: Parameters, say: Callable[[str], object]) -> None:
-    """Compile the kernel unless that has been done; ``say`` so, and how long it took, if it takes long."""
+    """Do once all that a run does, so that no chunk pays for what is compiled or loaded at first use.
+
+    ``say`` so, and how long it took, if it takes long: the first time on a machine the kernel is compiled.
+    """
     notice = threading.Timer(PATIENCE, say, ["compiling the kernel; only a first start takes this long"])
     notice.daemon = True
     began = time.perf_counter()
     notice.start()
     try:
-        engine = Engine(parameters)
-        engine.advance(1)
-        engine.change(parameters)
+        run = Run(Engine(parameters), Encoder(parameters, 0))
+        run.step()
+        opposite = "hold" if parameters.operation.on_timeout == "release" else "release"
+        run.change(updated(parameters, {"operation.on_timeout": opposite}))
     finally:
         notice.cancel()
     elapsed = time.perf_counter() - began

@@ -24,11 +24,9 @@ from gear_dynamics_ros.commands import Mailbox, joint_changes
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.live import warm_up
-from gear_dynamics_ros.messages import Record
 from gear_dynamics_ros.node_services import create_services
 from gear_dynamics_ros.parameters import Parameters, require_changeable
 from gear_dynamics_ros.physics import step_check
-from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.run import ViewerSink, advice
 from gear_dynamics_ros.session import Session
 from gear_dynamics_ros.viewer import Viewer, open_viewer
@@ -63,7 +61,7 @@ class GearboxNode(LifecycleNode):
         self._mailbox = Mailbox(self.parameters, time.monotonic_ns())
         self._session: Session | None = None
         self._recorded_before = False
-        self._told_error: str | None = None
+        self.recorder_errors: list[str] = []  # of all recordings
         # They outlive the session, so that a call under way when it ends is answered.
         self._services_of_operator = create_services(self, self._active_session, self._follow)
 
@@ -129,21 +127,24 @@ class GearboxNode(LifecycleNode):
         # A group is never rid of the entities it had: one that outlived them would grow with each configure.
         group = MutuallyExclusiveCallbackGroup()
         try:
-            publishers = node_topics.create_publishers(self, group, clock=self.parameters.clock_rate > 0.0)
-            subscriptions = node_topics.create_subscriptions(self, group, self._take_command)
+            clock = self.parameters.clock_rate > 0.0
+            for key, publisher in node_topics.create_publishers(self, group, clock=clock):
+                self._publishers_by_key[key] = publisher
+                self._own(self.destroy_publisher, publisher)
+            for subscription in node_topics.create_subscriptions(self, group, self._take_command):
+                self._own(self.destroy_subscription, subscription)
         except (InvalidQosOverridesError, ParameterException, RuntimeError) as error:
             raise UsageError(f"qos_overrides: {error}") from error
-        self._publishers_by_key = publishers
-        self._own(self.destroy_publisher, publishers.values())
-        self._own(self.destroy_subscription, subscriptions)
         timer = self.create_timer(1.0, self._report, callback_group=group, clock=self._steady)
-        self._own(self.destroy_timer, [timer])
+        self._own(self.destroy_timer, timer)
 
     def _activate(self) -> None:
         if self._session is None:
             self._session = self._begin_session()
+        live = self._session.live
+        state = "ended, with" if live.ended else "paused, with" if live.paused else "running"
+        self._log.info(f"{state} the {self.parameters.model} model from {live.time:.9g} s on")
         self._session.start()
-        self._log.info(f"running the {self.parameters.model} model from {self._session.live.time:.9g} s on")
 
     def _deactivate(self) -> None:
         if self._session is not None:
@@ -166,7 +167,10 @@ class GearboxNode(LifecycleNode):
     def _release(self, reason: str) -> None:
         session, self._session = self._session, None
         if session is not None:
-            session.finish(reason)
+            try:
+                session.finish(reason)
+            finally:
+                self._tell_recorder_errors(session)
         elif self._viewer is not None:
             self._viewer.close()
         self._viewer = self._engine = None
@@ -174,8 +178,8 @@ class GearboxNode(LifecycleNode):
             self._owned.pop()()
         self._publishers_by_key = {}
 
-    def _own(self, destroy: Callable[[Any], Any], entities: Iterable[Any]) -> None:
-        self._owned.extend(partial(destroy, entity) for entity in entities)
+    def _own(self, destroy: Callable[[Any], Any], entity: Any) -> None:
+        self._owned.append(partial(destroy, entity))
 
     def _run_ended(self, session: Session) -> None:
         if session.completed:
@@ -190,7 +194,13 @@ class GearboxNode(LifecycleNode):
 
     # Commands
 
-    def _take_command(self, key: str, message: Any, data: bytes) -> None:
+    def _take_command(self, key: str, data: bytes) -> None:
+        try:
+            message = node_topics.read_command(key, data)
+        except GearboxError as error:
+            self._mailbox.refuse(str(error))
+            self._log.warning(str(error), throttle_duration_sec=WARN_EVERY)
+            return
         if key == node_topics.JOINT_COMMAND:
             changes, strangers = joint_changes(
                 self.parameters.joint_prefix, message.name, message.velocity, message.effort
@@ -235,15 +245,22 @@ class GearboxNode(LifecycleNode):
 
     def _follow(self, session: Session) -> None:
         """Let the node's parameters be those of a session that has restored others."""
-        self.set_parameters(node_parameters.to_set(self.parameters, session.parameters))
+        restored = node_parameters.to_set(self.parameters, session.parameters)
+        self.parameters = session.parameters
+        if restored:
+            result = self.set_parameters_atomically(restored)
+            if not result.successful:
+                raise GearboxError(f"restored, but the parameters do not show it: {result.reason}")
 
     # Diagnostics
 
-    def _tell_recorder_error(self, recorder: Recorder | None) -> None:
-        error = None if recorder is None else recorder.error
-        if error is not None and error != self._told_error:
-            self._log.error(error)
-        self._told_error = error
+    def _tell_recorder_errors(self, session: Session) -> None:
+        recorder = session.recordings.current
+        current = [recorder.error] if recorder is not None and recorder.error is not None else []
+        for error in (*session.recorder_errors, *current):
+            if error not in self.recorder_errors:
+                self.recorder_errors.append(error)
+                self._log.error(error)
 
     def _warn(self, lines: Iterable[str]) -> None:
         for line in lines:
@@ -263,7 +280,7 @@ class GearboxNode(LifecycleNode):
         session = self._session
         if session is None:
             return
-        self._tell_recorder_error(session.recordings.current)
+        self._tell_recorder_errors(session)
         pace = session.live.pace()
         speed = session.live.run.engine.commands.speed
         found = diagnostics.statuses(
@@ -274,8 +291,7 @@ class GearboxNode(LifecycleNode):
             step_check.checks(self.parameters, speed),
         )
         array = diagnostics.array(found, session.now_ns)
-        session.live.post([Record("diagnostics", session.now_ns, bytes(serialize_message(array)))])
-        session.report(pace)
+        session.report(pace, bytes(serialize_message(array)))
 
 
 def warnings(parameters: Parameters) -> Sequence[str]:

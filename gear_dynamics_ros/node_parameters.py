@@ -45,15 +45,19 @@ def declare(node: Node) -> Parameters:
 
 
 def integers_to_floats(parameters: list[Parameter]) -> list[Parameter]:
-    """Parameters about to be set, with floats for the integers given where a float is meant."""
-    rows = specifications()
-    floats = {name for name, row in rows.items() if row.type is float}
+    """Parameters about to be set, with floats for the integers given where floats are meant."""
+    floats = {name for name, row in specifications().items() if row.element is float}
 
     def converted(parameter: Parameter) -> Parameter:
-        if parameter.type_ != Parameter.Type.INTEGER or parameter.name not in floats:
+        if parameter.name not in floats:
             return parameter
-        value = float(cast(int, parameter.value))
-        return Parameter(parameter.name, Parameter.Type.DOUBLE, value)
+        if parameter.type_ == Parameter.Type.INTEGER:
+            value = float(cast(int, parameter.value))
+            return Parameter(parameter.name, Parameter.Type.DOUBLE, value)
+        if parameter.type_ == Parameter.Type.INTEGER_ARRAY:
+            values = [float(entry) for entry in cast("Sequence[int]", parameter.value)]
+            return Parameter(parameter.name, Parameter.Type.DOUBLE_ARRAY, values)
+        return parameter
 
     return [converted(parameter) for parameter in parameters]
 

@@ -12,7 +12,7 @@ from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args, try_shutdown
 
-from gear_dynamics_ros.cli.common import guarded
+from gear_dynamics_ros.cli.common import FAILURE, guarded
 from gear_dynamics_ros.discovery import stay_local
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.live import warm_up
@@ -80,7 +80,7 @@ def _spin(signals: Signals) -> int:
     finally:
         node.end(reasons[0] if reasons else "failed")
         node.destroy_node()  # type: ignore[no-untyped-call]
-    return 0
+    return FAILURE if node.recorder_errors else 0
 
 
 def _executor() -> Executor:

@@ -20,14 +20,15 @@ def create_services(node: Node, active: Find, restored: Callable[[Session], None
     """Every service of the node, below its name.
 
     ``active`` finds the session that is active, or raises GearboxError; ``restored`` is called after a
-    checkpoint has been restored.
+    checkpoint has been restored, as far as that went.
     """
 
     def restore(_: Any) -> str:
         session = active()
-        answer = session.restore_checkpoint()
-        restored(session)
-        return answer
+        try:
+            return session.restore_checkpoint()
+        finally:
+            restored(session)
 
     plain: dict[str, tuple[Any, Act]] = {
         "reset": (Trigger, lambda _: active().reset()),
@@ -46,7 +47,7 @@ def _serve(act: Act) -> Callable[[Any, Any], Any]:
         try:
             response.message = act(request)
             response.success = True
-        except GearboxError as error:
+        except (GearboxError, OSError) as error:
             response.message = str(error)
             response.success = False
         return response

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from importlib import import_module
-from typing import Any, cast
+from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
@@ -13,6 +14,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
+from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages import TOPICS, Record, Topic, deserialize
 from gear_dynamics_ros.signals import Chunk
 
@@ -42,39 +44,46 @@ class PublisherSink:
         """Publishers belong to the node."""
 
 
-def create_publishers(node: Node, group: CallbackGroup, *, clock: bool) -> dict[str, Publisher]:
-    """A publisher for each output, by its key in TOPICS; parameters may override quality of service."""
-    return {
-        key: node.create_publisher(
-            message_type(topic.type),
-            topic.name,
-            quality(topic),
-            callback_group=group,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )
-        for key, topic in TOPICS.items()
-        if key not in COMMANDS and (clock or key != "clock")
-    }
+def create_publishers(node: Node, group: CallbackGroup, *, clock: bool) -> Iterator[tuple[str, Publisher]]:
+    """A publisher for each output, with its key in TOPICS; parameters may override quality of service."""
+    for key, topic in TOPICS.items():
+        if key not in COMMANDS and (clock or key != "clock"):
+            yield (
+                key,
+                node.create_publisher(
+                    message_type(topic.type),
+                    topic.name,
+                    quality(topic),
+                    callback_group=group,
+                    qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+                ),
+            )
 
 
 def create_subscriptions(
-    node: Node, group: CallbackGroup, take: Callable[[str, Any, bytes], None]
-) -> list[Subscription]:
-    """A subscription for each command; ``take`` gets key, message and the message as it came, in CDR."""
-
-    def subscribe(key: str) -> Subscription:
+    node: Node, group: CallbackGroup, take: Callable[[str, bytes], None]
+) -> Iterator[Subscription]:
+    """A subscription for each command; ``take`` gets its key and the message as it came, in CDR."""
+    for key in COMMANDS:
         topic = TOPICS[key]
-        return node.create_subscription(
+        yield node.create_subscription(
             message_type(topic.type),
             topic.name,
-            lambda data: take(key, deserialize(topic.type, cast(bytes, data)), cast(bytes, data)),
+            partial(take, key),
             quality(topic),
             callback_group=group,
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             raw=True,
         )
 
-    return [subscribe(key) for key in COMMANDS]
+
+def read_command(key: str, data: bytes) -> Any:
+    """The message of the command ``key``. Raises GearboxError if ``data`` is none."""
+    kind = TOPICS[key].type
+    try:
+        return deserialize(kind, data)
+    except Exception as error:  # rosbags has no common class for what it finds wrong with bytes
+        raise GearboxError(f"{TOPICS[key].name}: what came is no {kind}: {error}") from error
 
 
 def command_names(node: Node) -> list[str]:

@@ -26,8 +26,6 @@ class Pacer:
     """
 
     def __init__(self, pacing: Pacing, now_ns: int) -> None:
-        self._stretch_began_ns = now_ns
-        self._stretch_simulated_ns = 0
         self._overruns = 0
         self._worst_ns = 0
         self._slipped_ns = 0
@@ -40,9 +38,13 @@ class Pacer:
         self.restart(now_ns)
 
     def restart(self, now_ns: int) -> None:
-        """Count deadlines from ``now_ns`` on, as after a pause."""
-        self._base_ns = now_ns
-        self._simulated_ns = 0
+        """Count deadlines, and the stretch of the next report, from ``now_ns`` on, as after a pause."""
+        self._base_ns = self._stretch_began_ns = now_ns
+        self._simulated_ns = self._stretch_simulated_ns = 0
+
+    def excuse(self, time_ns: int) -> None:
+        """Put deadlines off by ``time_ns`` that something asked for has taken, save what may be caught up."""
+        self._slip(time_ns - self._allowed_ns)
 
     def wait_ns(self, chunk_ns: int, now_ns: int) -> int:
         """Wall time until the chunk of ``chunk_ns`` is due; 0 if it is."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -79,7 +80,7 @@ class Recordings:
 
 
 def _free(path: Path) -> Path:
-    if not path.exists():
-        return path
-    candidates = (path.with_name(f"{path.name}_{number}") for number in itertools.count(2))
-    return next(candidate for candidate in candidates if not candidate.exists())
+    numbered = (path.with_name(f"{path.name}_{number}") for number in itertools.count(2))
+    return next(
+        candidate for candidate in itertools.chain([path], numbered) if not os.path.lexists(candidate)
+    )

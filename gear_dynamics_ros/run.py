@@ -6,7 +6,7 @@ No clock and no threads: the same parameters and the same calls give the same re
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any, Protocol
 
@@ -71,7 +71,8 @@ class Run:
         self._encoder = encoder
         self._sinks = list(sinks)
         self._newcomers: list[Sink] = []
-        self._applied: Commands | None = None
+        self._begun = False
+        self._applied: Commands | None = None  # commands last written, unless others came in force since
         self._last_sample = _samples(duration, engine.parameters.solver.sample_interval_ns)
         self._end = ""
 
@@ -102,17 +103,20 @@ class Run:
             self.engine.command(commands)
         applied = self._encoder.applied(self.engine.commands, self.engine.sample)
         heading = [Record(topic, applied.time_ns, data) for topic, data in received]
-        if self._applied is None:
+        if not self._begun:
+            self._begun = True
             heading.insert(0, self._encoder.event(START, self.engine.sample, "", self.engine.counters))
         if self._applied != self.engine.commands:
             heading.append(applied)
             self._applied = self.engine.commands
         chunk = self.engine.advance(self._chunk_samples())
         records = [*heading, *self._encoder.chunk(chunk)]
-        for sink in self._sinks:
-            welcome = [applied] if sink in self._newcomers and applied not in heading else []
-            sink.write(chunk, [*welcome, *records])
-        self._newcomers.clear()
+        welcome = [] if applied in heading else [applied]
+        newcomers, self._newcomers = self._newcomers, []
+        _each(
+            self._sinks,
+            lambda sink: sink.write(chunk, [*welcome, *records] if sink in newcomers else records),
+        )
         if chunk.status is not Status.RUNNING:
             self.finish(chunk.message)
         elif self.completed:
@@ -123,6 +127,7 @@ class Run:
         """Back to the start state and the commands of the parameters; simulated time goes on."""
         self.engine.reset()
         self._end = ""
+        self._note_commands()
         self.note(RESET, message)
 
     def change(self, parameters: Parameters) -> None:
@@ -134,6 +139,7 @@ class Run:
         changed = differences(self.engine.parameters, parameters)
         if changed:
             self.engine.change(parameters)
+            self._note_commands()
             self.note(CHANGE, parameters=changed)
 
     def restore(self, checkpoint: Mapping[str, Any], message: str = "") -> None:
@@ -143,6 +149,7 @@ class Run:
         """
         self.engine.resume(checkpoint)
         self._end = ""
+        self._note_commands()
         self.note(RESTORE, message, checkpoint=checkpoint)
 
     def note(self, kind: str, message: str = "", **details: Mapping[str, Any]) -> None:
@@ -152,8 +159,7 @@ class Run:
 
     def emit(self, records: Sequence[Record]) -> None:
         """Write messages that belong to no chunk."""
-        for sink in self._sinks:
-            sink.write(None, records)
+        _each(self._sinks, lambda sink: sink.write(None, records))
 
     def finish(self, reason: str) -> None:
         """End the run with a reason, once; sinks stay open for what is still to come."""
@@ -178,20 +184,31 @@ class Run:
 
     def close(self) -> None:
         """Close all sinks, even if one of them fails; raises the first failure."""
-        failures: list[Exception] = []
-        while self._sinks:
-            try:
-                self._sinks.pop().close()
-            except Exception as error:
-                failures.append(error)
-        if failures:
-            raise failures[0]
+        sinks, self._sinks = self._sinks, []
+        _each(reversed(sinks), lambda sink: sink.close())
+
+    def _note_commands(self) -> None:
+        """What else than a command put commands in force: a command of the old values is a change again."""
+        if self._applied != self.engine.commands:
+            self._applied = None
 
     def _chunk_samples(self) -> int:
         whole = self.engine.parameters.solver.samples_per_chunk
         if self._last_sample is None:
             return whole
         return min(whole, self._last_sample - self.engine.sample)
+
+
+def _each(sinks: Iterable[Sink], act: Callable[[Sink], None]) -> None:
+    """Let every sink have its due, even if one of them fails; raises the first failure."""
+    failures: list[Exception] = []
+    for sink in sinks:
+        try:
+            act(sink)
+        except Exception as error:
+            failures.append(error)
+    if failures:
+        raise failures[0]
 
 
 def _samples(duration: float, interval_ns: int) -> int | None:

@@ -10,12 +10,13 @@ from pathlib import Path
 from gear_dynamics_ros import checkpoints, model_info
 from gear_dynamics_ros.commands import Mailbox
 from gear_dynamics_ros.condition import ConditionSink
-from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.engine import Engine, require_resumable
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.live import Live
 from gear_dynamics_ros.messages import Encoder, Record
 from gear_dynamics_ros.pacing import Pace
 from gear_dynamics_ros.parameters import Parameters, differences
+from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.recordings import Recordings
 from gear_dynamics_ros.run import PAUSE, RESUME, Run, Sink
 from gear_dynamics_ros.signals import Chunk
@@ -49,6 +50,8 @@ class Session:
         self._clock_ns = round(1e9 / parameters.clock_rate) if parameters.clock_rate > 0.0 else 0
         self._next_clock_ns = 0
         self._started = False
+        self._cut_recording = False  # the end of the run, and not the operator, ended the recording
+        self.recorder_errors: list[str] = []  # of recordings that are closed
 
     @property
     def parameters(self) -> Parameters:
@@ -58,7 +61,7 @@ class Session:
     @property
     def completed(self) -> bool:
         """Whether the run ended because ``pacing.duration`` has been simulated."""
-        return self._run.completed and not self._run.tripped
+        return self._run.completed and not self._run.tripped and not self.live.failed
 
     @property
     def now_ns(self) -> int:
@@ -83,8 +86,14 @@ class Session:
     def finish(self, reason: str) -> None:
         """End the run and close every sink."""
         self.live.stop()
-        self._run.finish(reason)
-        self._run.close()
+        recorder = self.recordings.current
+        try:
+            self._run.finish(reason)
+        finally:
+            try:
+                self._run.close()
+            finally:
+                self._note_errors(recorder)
 
     def change(self, parameters: Parameters) -> None:
         """Go on with ``parameters`` from the next chunk edge on. Raises UsageError where one is fixed."""
@@ -92,10 +101,18 @@ class Session:
             self.live.call(lambda: self.live.change(parameters))
             self._tell()
 
-    def report(self, pace: Pace) -> None:
-        """Publish and record how well the pace is kept."""
-        row = (self.live.time, pace.real_time_factor, self.parameters.pacing.real_time_factor, *pace[1:])
-        self.live.post([self._encoder.pacing(self.now_ns, row)])
+    def report(self, pace: Pace, diagnostics: bytes) -> None:
+        """Publish and record how well the pace is kept, and ``diagnostics`` in CDR."""
+        wanted = self.parameters.pacing.real_time_factor
+
+        def records() -> list[Record]:
+            row = (self.live.time, pace.real_time_factor, wanted, *pace[1:])
+            return [
+                Record("diagnostics", self.now_ns, diagnostics),
+                self._encoder.pacing(self.now_ns, row),
+            ]
+
+        self.live.post(records)
 
     # What services ask for: each returns what it did, in words, and raises GearboxError where it can't be.
 
@@ -128,6 +145,7 @@ class Session:
         if recorder is None:
             return "nothing was recorded"
         recorder.close()
+        self._note_errors(recorder)
         if recorder.error is not None:
             raise GearboxError(recorder.error)
         return f"recorded {recorder.path}"
@@ -137,13 +155,15 @@ class Session:
         path = self._checkpoint_path()
         saved = self.live.call(lambda: checkpoints.take(self._run.engine))
         checkpoints.save(path, saved)
-        return f"saved {path}, taken at {self.live.time:.9g} s"
+        taken_ns = saved.checkpoint["sample"] * self.parameters.solver.sample_interval_ns
+        return f"saved {path}, taken at {taken_ns * 1e-9:.9g} s"
 
     def restore_checkpoint(self) -> str:
         """Go on from the state in ``checkpoint.path``."""
         path = self._checkpoint_path()
         saved = checkpoints.load(path)
         parameters = checkpoints.continued(saved, self.parameters)
+        require_resumable(saved.checkpoint)
 
         def restore() -> None:
             self.live.change(parameters)
@@ -155,14 +175,21 @@ class Session:
         """Put the run anew where ``begin`` does; record anew if its end had closed the recording."""
 
         def restart() -> str:
-            record_anew = self.recordings.wanted and bool(self.live.ended) and self.recordings.current is None
             self.live.restart(begin)
-            self.condition.clear()
-            return f", recording to {self.recordings.begin(beside=True)}" if record_anew else ""
+            self.condition.clear(self._run.engine.mesh_loss)
+            record_anew, self._cut_recording = self._cut_recording, False
+            return self._record_anew() if record_anew else ""
 
         more = self.live.call(restart)
         self._tell()
         return more
+
+    def _record_anew(self) -> str:
+        try:
+            return f", recording to {self.recordings.begin(beside=True)}"
+        except GearboxError as error:
+            self.recorder_errors.append(str(error))
+            return f", but not recorded: {error}"
 
     def _checkpoint_path(self) -> Path:
         path = self.parameters.checkpoint.path
@@ -173,7 +200,7 @@ class Session:
     def _tell(self) -> None:
         """Publish and record what the model is, after whatever changed it."""
         text = model_info.describe(self.parameters, self.epoch_ns, self._node)
-        self.live.post([self._encoder.model_info(self.now_ns, text)])
+        self.live.post(lambda: [self._encoder.model_info(self.now_ns, text)])
 
     def _clock(self, chunk: Chunk) -> list[Record]:
         if not self._clock_ns or not len(chunk) or chunk.last_ns < self._next_clock_ns:
@@ -185,5 +212,11 @@ class Session:
         if not self.completed:
             recorder = self.recordings.end()
             if recorder is not None:
+                self._cut_recording = True
                 recorder.close()
+                self._note_errors(recorder)
         self._ended(self)
+
+    def _note_errors(self, recorder: Recorder | None) -> None:
+        if recorder is not None and recorder.error is not None:
+            self.recorder_errors.append(recorder.error)

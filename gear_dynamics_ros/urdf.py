@@ -79,9 +79,11 @@ def _add_gear(robot: Xml.Element, parameters: Parameters, side: str, centre: Vec
 
     joint = _add_joint(robot, "continuous", f"{prefix}{side}", bearing, name, (0.0, 0.0, 0.0))
     Xml.SubElement(joint, "axis", xyz=_text(*axis))
-    torque = specifications()["operation.drive_torque"].maximum or math.inf
+    torque = specifications()["operation.drive_torque"].maximum
     speed = parameters.operation.speed_limit
-    Xml.SubElement(joint, "limit", effort=_text(torque), velocity=_text(speed))
+    Xml.SubElement(
+        joint, "limit", effort=_text(math.inf if torque is None else torque), velocity=_text(speed)
+    )
 
 
 def _add_mesh(robot: Xml.Element, parameters: Parameters) -> None:

@@ -15,6 +15,9 @@ from gear_dynamics_ros.messages import Encoder
 from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.run import Run
 
+# Half a second of simulated time from the start to the speed limit.
+RUNNING_AWAY = {"operation.control": "torque", "operation.load_torque": 0.0}
+
 
 class Watcher:
     """A sink that can be waited on until a chunk is as wanted."""
@@ -127,7 +130,7 @@ def test_steps_make_as_many_chunks_as_wanted_while_paused(start):
     ("meanwhile", "reason"),
     [
         (lambda live: live.call(lambda: live.pause(False)), "aborted: resumed after"),
-        (lambda live: live.call(lambda: live.restart(live.run.reset)), "aborted: reset after"),
+        (lambda live: live.call(lambda: live.restart(live.run.reset)), "aborted: put elsewhere .* after"),
         (lambda live: live.stop(), "aborted: deactivated after"),
     ],
 )
@@ -151,10 +154,7 @@ def test_steps_are_given_up_when_their_time_is_over(start):
 
 
 def test_steps_are_given_up_when_the_run_ends(start):
-    live, _, ended = paused(
-        start,
-        **{"operation.control": "torque", "operation.load_torque": 0.0},
-    )
+    live, _, ended = paused(start, **RUNNING_AWAY)
     with pytest.raises(GearboxError, match="aborted: over-speed"):
         live.step(1_000_000, 3600.0).result(120.0)
     assert ended.wait(60.0)
@@ -181,18 +181,69 @@ def test_parameters_change_between_two_chunks_and_the_pace_with_them(start):
     assert watcher.chunks[0].commands.load_torque == 30.0
 
 
+class Broken:
+    """A sink that takes chunks and nothing between two."""
+
+    def write(self, chunk, records):
+        if chunk is None:
+            raise RuntimeError("out of ink")
+
+    def close(self):
+        pass
+
+
 def test_what_is_posted_to_a_broken_sink_ends_the_run_and_not_the_thread(start):
     live, _, ended = start()
-
-    class Broken:
-        def write(self, chunk, records):
-            if chunk is None:
-                raise RuntimeError("out of ink")
-
-        def close(self):
-            pass
-
     live.call(lambda: live.run.attach(Broken()))
-    live.post([])
+    live.post(list)
     assert ended.wait(120.0)
     assert live.call(lambda: live.ended) == "out of ink"
+
+
+def test_what_was_asked_behind_something_that_fails_is_done(start):
+    live, _, ended = start()
+    answers = []
+    hold = threading.Event()
+    callers = [
+        threading.Thread(target=live.call, args=[act]) for act in (hold.wait, lambda: answers.append("done"))
+    ]
+    callers[0].start()
+    live.run.attach(Broken())
+    live.post(list)
+    callers[1].start()
+    while len(live._requests) < 2:
+        time.sleep(0.001)
+    hold.set()
+    for caller in callers:
+        caller.join(60.0)
+    assert answers == ["done"] and ended.wait(60.0)
+
+
+def test_a_failure_at_the_end_of_the_run_leaves_the_thread_to_serve(start):
+    live, _, ended = start(**RUNNING_AWAY)
+
+    def fail():
+        ended.set()
+        raise RuntimeError("nobody wants to know")
+
+    live._on_end = fail
+    assert ended.wait(60.0)
+    assert live.call(lambda: live.ended) == "nobody wants to know" and live.failed
+
+
+def test_what_came_while_nothing_ran_is_no_command(start):
+    live, watcher, _ = start(**{"pacing.real_time_factor": 0.5})
+    watcher.until(lambda chunk: True)
+    live.stop()
+    live.mailbox.offer("load_torque_command", {"load_torque": 11.0}, b"", time.monotonic_ns())
+    known = len(watcher.chunks)
+    live.start()
+    watcher.until(lambda chunk: len(watcher.chunks) > known)
+    assert watcher.chunks[-1].commands.load_torque == 30.0
+
+
+def test_an_ended_run_can_be_neither_paused_nor_resumed(start):
+    live, _, ended = start(**RUNNING_AWAY)
+    assert ended.wait(60.0)
+    with pytest.raises(GearboxError, match="the run has ended"):
+        live.call(lambda: live.pause(False))

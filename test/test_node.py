@@ -335,6 +335,7 @@ def test_parameters_are_described_and_those_that_are_fixed_say_so(client):
     assert "read-only" in client.put("solver.step", 2e-6).reason
     assert not client.put("pacing.real_time_factor", math.nan).successful
     assert "beyond operation.speed_limit" in client.put("operation.speed", 5001).reason
+    assert client.put("mesh.error_sin", [0, 0]).successful
 
 
 def test_parameters_change_at_a_chunk_edge_all_or_none_and_are_recorded(client):
@@ -381,22 +382,42 @@ def test_control_is_switched_without_a_jump_of_torque(client):
         assert torque[edge] == pytest.approx(torque[edge - 1], abs=1.0)
 
 
-def test_a_checkpoint_is_saved_and_restored(client, bag):
+def test_a_checkpoint_is_saved_and_restored_with_its_parameters_and_commands(client, bag):
+    client.command("joint_command", JointState(name=["driven"], effort=[42.0]))
+    client.until(lambda: client.heard["applied_command"][-1].effort[1] == 42.0)
     saved = client.call(Trigger, "save_checkpoint")
     assert saved.success and f"{bag}.json" in saved.message
     taken = json.loads(bag.with_name("bag.json").read_text())["checkpoint"]
+    assert float(saved.message.split()[-2]) == pytest.approx(taken["sample"] * 1e-5)
     client.until(lambda: client.sample() >= taken["sample"])
-    assert client.put("oil.viscosity", 0.001).successful
+    other = {"oil.viscosity": 0.001, "mesh.error_cos": [1e-6], "operation.load_torque": 33.0}
+    before = {name: client.get(name) for name in other}
+    for name, value in other.items():
+        assert client.put(name, value).successful
+    client.heard["event"].clear()
     restored = client.call(Trigger, "restore_checkpoint")
     assert restored.success, restored.message
     client.until(lambda: client.events()[-1]["event"] == "restore")
     at = client.events()[-1]["sample"]
-    client.until(lambda: client.sample() >= max(at, taken["sample"]))
-    assert client.get("oil.viscosity") == 0.05
+    client.until(lambda: client.sample() >= max(at, taken["sample"]) + CHUNK)
+    assert {name: client.get(name) for name in other} == before
+    assert [event["event"] for event in client.events()] == ["parameters", "restore"]
     rows = client.rows()
     index = np.rint(rows[:, 0] * 1e5).astype(int)
-    (before,), (after,) = rows[index == taken["sample"]], rows[index == at]
-    np.testing.assert_array_equal(before[1:], after[1:])
+    (old,), (new,) = rows[index == taken["sample"]], rows[index == at]
+    np.testing.assert_array_equal(old[1:], new[1:])
+    assert rows[-1][COLUMN["load_torque"]] == 42.0
+
+
+def test_what_is_no_message_is_refused_and_counted(client, node):
+    def refused():
+        commands = {entry.key: entry.value for entry in client.statuses()["gearbox: commands"].values}
+        return int(commands["refused"])
+
+    known = refused()
+    client.publishers["load_torque_command"].publish(b"\x00\x01\x00\x00\x01")
+    client.until(lambda: refused() > known)
+    assert "no std_msgs/msg/Float64" in node.output
 
 
 def test_recording_can_be_split_switched_off_and_on(client, bag, process):
@@ -484,6 +505,7 @@ def test_a_trip_is_told_and_a_reset_recovers(ros_domain, process, tmp_path):
         assert client.statuses()["gearbox: run"].level == DiagnosticStatus.ERROR
         tripped = recording.open(tmp_path / "bag")
         assert tripped.complete and "operation.speed_limit" in tripped.events[-1].message
+        assert not client.call(SetBool, "pause", SetBool.Request(data=False)).success
         answer = client.call(Trigger, "reset")
         assert answer.success and answer.message.endswith("bag_2")
         # The torques still don't balance, so the new run may have tripped before we look.
@@ -539,6 +561,39 @@ def test_an_overrun_ends_the_run_where_that_is_wanted(ros_domain, process, tmp_p
     assert node.wait() == 0
     found = recording.open(tmp_path / "bag")
     assert found.complete and "pacing.on_overrun" in found.events[-1].message
+
+
+def test_a_pace_that_can_be_kept_has_no_overrun_to_end_the_run(ros_domain, process):
+    node = gearbox(process, "pacing.real_time_factor:=0.02", "pacing.on_overrun:=error")
+    client = Client()
+    try:
+        client.hear("waveform", 5)
+        assert "overrun" not in node.output
+    finally:
+        client.close()
+
+
+def test_a_recording_switched_off_stays_off_after_a_trip(ros_domain, process, tmp_path):
+    node = gearbox(
+        process,
+        f"recording.path:={tmp_path / 'bag'}",
+        "operation.control:=torque",
+        "operation.load_torque:=0.0",
+        "pacing.real_time_factor:=0.2",
+    )
+    client = Client()
+    try:
+        client.hear("waveform")
+        assert client.call(SetBool, "record", SetBool.Request(data=False)).success
+        node.wait_for("run ended: over-speed")
+        # Higher than the limit that ended it, so that the reset can last.
+        assert client.put("operation.speed_limit", 1e5).successful
+        answer = client.call(Trigger, "reset")
+        assert answer.success and "recording" not in answer.message
+        client.hear("waveform")
+    finally:
+        client.close()
+    assert not (tmp_path / "bag_2").exists()
 
 
 def test_the_clock_runs_at_its_own_rate_and_two_publishers_are_told_once(ros_domain, process):

@@ -83,3 +83,19 @@ def test_catch_up_keeps_the_deadlines_as_far_as_it_may():
     pacer.done(CHUNK, 9 * CHUNK)
     pacer.done(CHUNK, 9 * CHUNK)
     assert pacer.wait_ns(CHUNK, 9 * CHUNK) == CHUNK // 2
+
+
+def test_a_pause_does_not_count_into_the_factor():
+    pacer = Pacer(Pacing(1.0), 0)
+    pacer.done(CHUNK, CHUNK)
+    pacer.restart(1000 * CHUNK)
+    pacer.done(CHUNK, 1001 * CHUNK)
+    assert pacer.report(1001 * CHUNK).real_time_factor == 1.0
+
+
+def test_what_was_asked_for_is_no_overrun_but_slips():
+    pacer = Pacer(Pacing(1.0), 0)
+    pacer.excuse(20 * CHUNK)
+    assert pacer.done(CHUNK, 21 * CHUNK) == 0
+    report = pacer.report(21 * CHUNK)
+    assert report.overruns == 0 and report.slipped == pytest.approx(20 * CHUNK * 1e-9)

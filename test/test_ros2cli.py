@@ -18,7 +18,9 @@ pytestmark = pytest.mark.skipif(ROS2 is None, reason="ros2 is not installed: it 
 
 def ros2(*words):
     """Output of a command; it must exit with 0."""
-    answer = subprocess.run([str(ROS2), *words], capture_output=True, text=True, timeout=PATIENCE, check=False)
+    answer = subprocess.run(
+        [str(ROS2), *words], capture_output=True, text=True, timeout=PATIENCE, check=False
+    )
     assert answer.returncode == 0, answer.stdout + answer.stderr
     return answer.stdout
 

@@ -89,13 +89,13 @@ DEEDS: tuple[Any, ...] = (
 
 
 def perform(path: Path, deeds: Sequence[Any], parameters: Parameters) -> Path:
-    """Recording of a run in which ``deeds`` were done, a short chunk after each."""
+    """Recording of a run in which ``deeds`` were done between its chunks, and one chunk more."""
     engine = Engine(parameters)
     recorder = Recorder(path, parameters, engine.checkpoint(), 0)
     run = Run(engine, Encoder(parameters, 0), [RecorderSink(recorder)])
     saved = (run.engine.parameters, run.checkpoint())
+    commands = None
     for deed in deeds:
-        commands = None
         if isinstance(deed, Commands):
             commands = deed
         elif isinstance(deed, dict):
@@ -109,23 +109,33 @@ def perform(path: Path, deeds: Sequence[Any], parameters: Parameters) -> Path:
             run.restore(saved[1], "as saved")
         elif deed == "split":
             recorder.split(run.checkpoint(), engine.parameters)
-        run.step(commands)
+        elif deed == "step":
+            run.step(commands)
+            commands = None
+    run.step(commands)
     run.close()
     assert recorder.error is None
     return path
 
 
-@given(st.lists(st.sampled_from(DEEDS), min_size=1, max_size=12), st.sampled_from(["torque", "speed"]))
+@given(
+    st.lists(st.one_of(st.just("step"), st.sampled_from(DEEDS)), min_size=1, max_size=20),
+    st.sampled_from(["torque", "speed"]),
+)
 @example(["save", "step", "restore", "step", "split", "step"], "speed")
 @example(["step", "reset", "step", "split", "step"], "torque")
-@settings(max_examples=30, deadline=None)
+# A command repeated at the edge where something else has put another value in force.
+@example([DEEDS[5], "step", "reset", DEEDS[5], "step"], "torque")
+@example([DEEDS[5], "step", DEEDS[12], DEEDS[5], "step"], "speed")
+@example(["save", DEEDS[5], "step", "restore", DEEDS[5], "step"], "torque")
+@settings(max_examples=40, deadline=None)
 def test_whatever_is_done_comes_out_again(deeds: list[Any], control: str) -> None:
     parameters = Parameters.from_flat({"operation.control": control, "solver.chunk": 3e-4})
     with tempfile.TemporaryDirectory() as folder:
         path = perform(Path(folder) / "bag", deeds, parameters)
         whole = recording.open(path)
         result = replay.verify(whole)
-        assert (result.difference, result.samples) == (None, 30 * len(deeds))
+        assert (result.difference, result.samples) == (None, 30 * (deeds.count("step") + 1))
         assert whole.parameters == parameters
         for part in path.glob("*.mcap"):
             assert replay.verify(recording.open(part)).difference is None
@@ -134,7 +144,11 @@ def test_whatever_is_done_comes_out_again(deeds: list[Any], control: str) -> Non
 def test_events_tell_what_changed_and_what_was_restored(tmp_path: Path) -> None:
     parameters = Parameters.from_flat({"solver.chunk": 3e-4})
     changed = {"mesh.stiffness_cos": [0.05, 0.01], "operation.control": "torque"}
-    path = perform(tmp_path / "bag", ["step", "save", changed, "split", "restore"], parameters)
+    path = perform(
+        tmp_path / "bag",
+        ["step", "save", "step", changed, "step", "split", "step", "restore"],
+        parameters,
+    )
     start, change, back, restore = recording.open(path).events
     assert (start.kind, start.parameters, start.checkpoint) == ("start", {}, {})
     assert (change.kind, change.sample, change.parameters) == ("parameters", 60, changed)

@@ -20,7 +20,7 @@ from gear_dynamics_ros.analysis.summary import Span
 from gear_dynamics_ros.cli.common import Progress, guarded
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages import waveform_samples
-from gear_dynamics_ros.recording import Recording
+from gear_dynamics_ros.recording import Event, Recording
 from gear_dynamics_ros.run import RESET, RESTORE
 
 if TYPE_CHECKING:
@@ -167,10 +167,18 @@ def describe(bag: Recording, whole: Pass, samples: Samples) -> dict[str, Any]:
         "samples": bag.end_sample - bag.first_sample,
         "sample_interval": interval(bag),
         "commands": len(bag.commands),
-        "events": [event._asdict() for event in bag.events],
+        "events": [described(event) for event in bag.events],
         "run": summary.statistics_block(whole.statistics, span, bag.parameters),
         "window": summary.window_block(samples, bag.parameters),
     }
+
+
+def described(event: Event) -> dict[str, Any]:
+    """An event for the summary; the state that a restore brought stays in the recording."""
+    entries = event._asdict()
+    del entries["checkpoint"]
+    entries["parameters"] = dict(event.parameters)
+    return entries
 
 
 def energy(bag: Recording) -> dict[str, Any] | None:

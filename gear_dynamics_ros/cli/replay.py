@@ -44,7 +44,9 @@ def show_info(arguments: argparse.Namespace) -> int:
             f"load {commands.load_torque:g} N m, speed {commands.speed:g} rad/s"
         )
     for event in bag.events:
-        print(f"  {event.kind} at {event.time:.6f} s (sample {event.sample}) {event.message}".rstrip())
+        changed = ", ".join(f"{name} = {value}" for name, value in event.parameters.items())
+        what = event.message or changed
+        print(f"  {event.kind} at {event.time:.6f} s (sample {event.sample}) {what}".rstrip())
     return 0
 
 
