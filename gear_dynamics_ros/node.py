@@ -48,7 +48,7 @@ class GearboxNode(LifecycleNode):
         self.failure: GearboxError | None = None
         self._tell_failure = True
         self._ignore_sim_time()
-        self.add_pre_set_parameters_callback(node_parameters.integers_to_floats)
+        self.add_pre_set_parameters_callback(node_parameters.numbers_to_floats)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._take_parameters)
         # A steady clock: diagnostics go on whatever happens to the time of the system or to /clock.
@@ -227,6 +227,9 @@ class GearboxNode(LifecycleNode):
             self.set_parameters([off])
 
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        if any(parameter.name == "use_sim_time" and parameter.value for parameter in parameters):
+            reason = "use_sim_time must stay false: the gearbox makes time and never follows /clock"
+            return SetParametersResult(successful=False, reason=reason)
         try:
             require_changeable(self.parameters, node_parameters.changed(self.parameters, parameters))
         except UsageError as error:

@@ -13,6 +13,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from gear_dynamics_ros.parameters import Parameters, Specification, differences, specifications, updated
+from gear_dynamics_ros.ros_yaml import resolve
 
 # Declared by rclpy for every node, or by whoever overrides a quality of service.
 FOREIGN = ("use_sim_time", "start_type_description_service")
@@ -44,22 +45,26 @@ def declare(node: Node) -> Parameters:
     return parameters
 
 
-def integers_to_floats(parameters: list[Parameter]) -> list[Parameter]:
-    """Parameters about to be set, with floats for the integers given where floats are meant."""
+def numbers_to_floats(parameters: list[Parameter]) -> list[Parameter]:
+    """Parameters about to be set, with floats for whatever number is given where floats are meant.
+
+    That is an integer, and text like 5e-2, which ROS's tools take for none.
+    """
     floats = {name for name, row in specifications().items() if row.element is float}
+    return [_floated(parameter) if parameter.name in floats else parameter for parameter in parameters]
 
-    def converted(parameter: Parameter) -> Parameter:
-        if parameter.name not in floats:
-            return parameter
-        if parameter.type_ == Parameter.Type.INTEGER:
-            value = float(cast(int, parameter.value))
-            return Parameter(parameter.name, Parameter.Type.DOUBLE, value)
-        if parameter.type_ == Parameter.Type.INTEGER_ARRAY:
-            values = [float(entry) for entry in cast("Sequence[int]", parameter.value)]
-            return Parameter(parameter.name, Parameter.Type.DOUBLE_ARRAY, values)
-        return parameter
 
-    return [converted(parameter) for parameter in parameters]
+def _floated(parameter: Parameter) -> Parameter:
+    value: Any = parameter.value
+    if parameter.type_ == Parameter.Type.INTEGER_ARRAY:
+        return Parameter(parameter.name, value=[float(entry) for entry in value])
+    if parameter.type_ == Parameter.Type.STRING:
+        value = resolve(value)
+    if parameter.type_ in (Parameter.Type.STRING, Parameter.Type.INTEGER) and not isinstance(
+        value, bool | str
+    ):
+        return Parameter(parameter.name, value=float(value))
+    return parameter
 
 
 def changed(parameters: Parameters, given: Sequence[Parameter]) -> Parameters:

@@ -336,6 +336,10 @@ def test_parameters_are_described_and_those_that_are_fixed_say_so(client):
     assert not client.put("pacing.real_time_factor", math.nan).successful
     assert "beyond operation.speed_limit" in client.put("operation.speed", 5001).reason
     assert client.put("mesh.error_sin", [0, 0]).successful
+    assert client.put("surface.driven.roughness", "8e-07").successful
+    assert client.get("surface.driven.roughness") == 8e-7
+    assert not client.put("oil.viscosity", "thick").successful
+    assert "must stay false" in client.put("use_sim_time", True).reason
 
 
 def test_parameters_change_at_a_chunk_edge_all_or_none_and_are_recorded(client):
