@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from xml.etree import ElementTree as Xml
 
-from gear_dynamics_ros.cli.common import guarded
+from gear_dynamics_ros.cli.common import add_settings, guarded
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.messages import TOPICS, resolve
 from gear_dynamics_ros.parameters import NODE, Parameters, load, specifications
@@ -158,13 +158,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--params-file", type=Path, help="ROS parameter file (default: the package's config/gearbox.yaml)"
     )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="override a parameter; may be repeated",
-    )
+    add_settings(parser)
     parser.add_argument(
         "--node", default=NODE, metavar="NAME", help="full name of the gearbox (default: %(default)s)"
     )

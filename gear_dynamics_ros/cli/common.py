@@ -14,6 +14,17 @@ USAGE = 2
 INTERRUPTED = 130
 
 
+def add_settings(parser: argparse.ArgumentParser) -> None:
+    """Let ``--set`` override parameters."""
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="override a parameter; may be repeated",
+    )
+
+
 def guarded(
     command: Callable[[argparse.Namespace], int], parser: argparse.ArgumentParser, argv: Sequence[str] | None
 ) -> int:

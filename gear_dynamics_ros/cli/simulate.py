@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from gear_dynamics_ros import checkpoints
-from gear_dynamics_ros.cli.common import Progress, guarded
+from gear_dynamics_ros.cli.common import Progress, add_settings, guarded
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.live import warm_up
@@ -61,13 +61,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--duration", type=float, metavar="S", help="simulated time in s (default: pacing.duration)"
     )
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="recording to make")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="override a parameter; may be repeated",
-    )
+    add_settings(parser)
     return guarded(simulate, parser, argv)
 
 
