@@ -151,6 +151,11 @@ def resolve(topic: Topic, node: str = "/gearbox") -> str:
     return f"{node.rpartition('/')[0]}/{topic.name}"
 
 
+def bearing_frame(prefix: str, gear: str) -> str:
+    """Frame of the bearing of ``gear``, driving or driven; ``prefix`` is joint_prefix."""
+    return f"{prefix}{gear}_bearing"
+
+
 def serialize(type_name: str, message: Any) -> bytes:
     """CDR (little endian, with its header) of a rosbags message."""
     return bytes(TYPESTORE.serialize_cdr(message, type_name))
@@ -242,10 +247,9 @@ class Encoder:
         self._energy = _Packer("sample", [energy.name for energy in ENERGIES])
         self._impacts = _Packer("impact", [entry.name for entry in IMPACTS])
         self._pacing = _Packer("report", [entry.name for entry in PACE])
-        self._joint_state = _Stamped(_still(self._joints, len(self._joints)), _JOINT_NUMBERS)
-        self._applied = _Stamped(_still(self._shafts, 0), _APPLIED_NUMBERS)
+        self._joint_state = _Stamped(_still(self._joints), _JOINT_NUMBERS)
         self._bearings = {
-            gear: _Stamped(_no_force(f"{prefix}{gear}_bearing"), _FORCE_AND_TORQUE)
+            gear: _Stamped(_no_force(bearing_frame(prefix, gear)), _FORCE_AND_TORQUE)
             for gear in ("driving", "driven")
         }
 
@@ -273,15 +277,14 @@ class Encoder:
     def applied(self, commands: Commands, sample: int) -> Record:
         """Commands in force from ``sample`` on."""
         time_ns = self._epoch_ns + sample * self._interval_ns
-        data = self._applied.pack(
+        message = joint_state(
             time_ns,
-            commands.speed,
-            math.nan,
-            len(self._shafts),
-            commands.drive_torque,
-            commands.load_torque,
+            self._shafts,
+            (),
+            (commands.speed, math.nan),
+            (commands.drive_torque, commands.load_torque),
         )
-        return Record("applied_command", time_ns, data)
+        return Record("applied_command", time_ns, serialize(JOINT_STATE, message))
 
     def event(
         self, kind: str, sample: int, message: str, counters: Counters, **details: Mapping[str, Any]
@@ -370,7 +373,6 @@ _CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 _STAMP_END = len(_CDR_LITTLE_ENDIAN) + 8
 # Position, velocity and effort; before the latter their count and its padding to eight bytes.
 _JOINT_NUMBERS = "3dQ3dQ3d"
-_APPLIED_NUMBERS = "2dQ2d"  # no position
 _FORCE_AND_TORQUE = "6d"
 _NO_MORE = (0.0,) * 4  # force along z, torques
 
@@ -391,9 +393,9 @@ def _header(time_ns: int, frame_id: str) -> Any:
     return message_class("std_msgs/msg/Header")(stamp=stamp(time_ns), frame_id=frame_id)
 
 
-def _still(joints: Sequence[str], positions: int) -> bytes:
+def _still(joints: Sequence[str]) -> bytes:
     zeros = [0.0] * len(joints)
-    return serialize(JOINT_STATE, joint_state(0, joints, zeros[:positions], zeros, zeros))
+    return serialize(JOINT_STATE, joint_state(0, joints, zeros, zeros, zeros))
 
 
 def _no_force(frame_id: str) -> bytes:

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from gear_dynamics_ros import __version__
 from gear_dynamics_ros.engine import kernel_hash
-from gear_dynamics_ros.messages import TOPICS, resolve
+from gear_dynamics_ros.messages import TOPICS, bearing_frame, resolve
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.signals import CHANNELS, ENERGIES, IMPACTS, PACE, Channel
 
@@ -26,7 +26,7 @@ def describe(parameters: Parameters, epoch_ns: int, node: str) -> str:
             "sample_interval_ns": solver.sample_interval_ns,
             "samples_per_chunk": solver.samples_per_chunk,
             "joints": [f"{prefix}{name}" for name in ("driving", "driven", "mesh")],
-            "frames": [f"{prefix}{name}_bearing" for name in ("driving", "driven")],
+            "frames": [bearing_frame(prefix, gear) for gear in ("driving", "driven")],
             "waveform": _columns(named[name] for name in parameters.waveform_channels),
             "energy": _columns(ENERGIES),
             "impacts": _columns(IMPACTS),

@@ -63,7 +63,7 @@ class GearboxNode(LifecycleNode):
         self._recorded_before = False
         self.recorder_errors: list[str] = []  # of all recordings
         # They outlive the session, so that a call under way when it ends is answered.
-        self._services_of_operator = create_services(self, self._active_session, self._follow)
+        create_services(self, self._active_session, self._follow)
 
     def bring_up(self) -> None:
         """Configure and activate. Raises GearboxError with the reason if that fails."""

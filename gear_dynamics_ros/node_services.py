@@ -16,8 +16,8 @@ Act = Callable[[Any], str]
 Find = Callable[[], Session]
 
 
-def create_services(node: Node, active: Find, restored: Callable[[Session], None]) -> list[Any]:
-    """Every service of the node, below its name.
+def create_services(node: Node, active: Find, restored: Callable[[Session], None]) -> None:
+    """Make every service of the node, below its name.
 
     ``active`` finds the session that is active, or raises GearboxError; ``restored`` is called after a
     checkpoint has been restored, as far as that went.
@@ -38,8 +38,9 @@ def create_services(node: Node, active: Find, restored: Callable[[Session], None
         "pause": (SetBool, lambda request: active().pause(request.data)),
         "record": (SetBool, lambda request: active().record(request.data)),
     }
-    services = [node.create_service(kind, f"~/{name}", _serve(act)) for name, (kind, act) in plain.items()]
-    return [*services, _create_step_service(node, active)]
+    for name, (kind, act) in plain.items():
+        node.create_service(kind, f"~/{name}", _serve(act))
+    _create_step_service(node, active)
 
 
 def _serve(act: Act) -> Callable[[Any, Any], Any]:
@@ -55,7 +56,7 @@ def _serve(act: Act) -> Callable[[Any, Any], Any]:
     return answer
 
 
-def _create_step_service(node: Node, active: Find) -> Any:
+def _create_step_service(node: Node, active: Find) -> None:
     """``~/step``, answered when the chunks are made; meanwhile all other calls are served.
 
     rclpy sends what a callback returns at once, and its executor driven by events knows no coroutines. So
@@ -81,7 +82,6 @@ def _create_step_service(node: Node, active: Find) -> Any:
             steps.add_done_callback(lambda done: send(_result(done, response), header))
 
     service.send_response = send_when_done  # type: ignore[method-assign]
-    return service
 
 
 def _result(steps: Future[float], response: Any) -> Any:

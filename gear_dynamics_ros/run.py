@@ -101,17 +101,9 @@ class Run:
             raise GearboxError(f"the run has ended ({self._end}); reset it to go on")
         if commands is not None:
             self.engine.command(commands)
-        applied = self._encoder.applied(self.engine.commands, self.engine.sample)
-        heading = [Record(topic, applied.time_ns, data) for topic, data in received]
-        if not self._begun:
-            self._begun = True
-            heading.insert(0, self._encoder.event(START, self.engine.sample, "", self.engine.counters))
-        if self._applied != self.engine.commands:
-            heading.append(applied)
-            self._applied = self.engine.commands
+        heading, welcome = self._heading(received)
         chunk = self.engine.advance(self._chunk_samples())
         records = [*heading, *self._encoder.chunk(chunk)]
-        welcome = [] if applied in heading else [applied]
         newcomers, self._newcomers = self._newcomers, []
         _each(
             self._sinks,
@@ -186,6 +178,22 @@ class Run:
         """Close all sinks, even if one of them fails; raises the first failure."""
         sinks, self._sinks = self._sinks, []
         _each(reversed(sinks), lambda sink: sink.close())
+
+    def _heading(self, received: Sequence[tuple[str, bytes]]) -> tuple[list[Record], list[Record]]:
+        """What is written before the next chunk, and what newcomers need besides."""
+        heading: list[Record] = []
+        if not self._begun:
+            self._begun = True
+            heading.append(self._encoder.event(START, self.engine.sample, "", self.engine.counters))
+        changed = self._applied != self.engine.commands
+        if not (received or changed or self._newcomers):
+            return heading, []
+        applied = self._encoder.applied(self.engine.commands, self.engine.sample)
+        heading.extend(Record(topic, applied.time_ns, data) for topic, data in received)
+        if not changed:
+            return heading, [applied]
+        self._applied = self.engine.commands
+        return [*heading, applied], []
 
     def _note_commands(self) -> None:
         """What else than a command put commands in force: a command of the old values is a change again."""

@@ -16,7 +16,7 @@ from xml.etree import ElementTree as Xml
 
 from gear_dynamics_ros.cli.common import add_settings, guarded
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.messages import TOPICS, resolve
+from gear_dynamics_ros.messages import TOPICS, bearing_frame, resolve
 from gear_dynamics_ros.parameters import NODE, Parameters, load, specifications
 from gear_dynamics_ros.physics.derived import base_radii
 from gear_dynamics_ros.resources import share_file
@@ -59,7 +59,7 @@ def _add_gear(robot: Xml.Element, parameters: Parameters, side: str, centre: Vec
     gear = getattr(parameters.gears, side)
     length = getattr(parameters.bearings, side).length
     radius = dict(zip(("driving", "driven"), pitch_radii(parameters), strict=True))[side]
-    bearing, name = f"{prefix}{side}_bearing", f"{prefix}{side}_gear"
+    bearing, name = bearing_frame(prefix, side), f"{prefix}{side}_gear"
 
     Xml.SubElement(robot, "link", name=bearing)
     _add_joint(robot, "fixed", f"{prefix}{side}_seat", f"{prefix}gearbox", bearing, centre)
