@@ -14,10 +14,10 @@ import latency
 import numpy as np
 import plain_c
 import speed
-from machine import processor
 
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.origin import processor
 from gear_dynamics_ros.parameters import Parameters
 
 REAL_TIME_AIMED_AT = {"traditional": 5.0, "compared": 5.0, "improved": 3.0}

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from live_node import PARAMETERS, Client, NodeProcess, Samples, running
-from machine import processor
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from std_msgs.msg import Float64
@@ -26,6 +25,7 @@ from gear_dynamics_ros import palette
 from gear_dynamics_ros.cli.common import FAILURE, Progress, guarded
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages import TOPICS, deserialize
+from gear_dynamics_ros.origin import processor
 from gear_dynamics_ros.parameters import load
 
 DURATION = 600.0  # s of wall time, as are the next

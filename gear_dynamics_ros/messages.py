@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_typestore
 
+from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.signals import CHANNELS, COLUMN, ENERGIES, IMPACTS, PACE, Chunk, Commands, Counters
 
@@ -200,6 +201,36 @@ def waveform_samples(message: Any) -> tuple[tuple[str, ...], NDArray[np.float64]
     """Names of the columns and rows (n, columns) of a message laid out like the waveform."""
     names = tuple(message.layout.dim[1].label.split(","))
     return names, np.asarray(message.data, dtype=np.float64).reshape(-1, len(names))
+
+
+class RowReader:
+    """Reads CDR laid out like the waveform.
+
+    The messages of a recording differ in their numbers, and seldom in what precedes them, understood once.
+    """
+
+    def __init__(self) -> None:
+        self._prefix = b""
+        self._size = -1  # bytes of the message that had it
+        self._names: tuple[str, ...] = ()
+
+    def read(self, data: bytes | memoryview) -> tuple[tuple[str, ...], NDArray[np.float64]]:
+        """Names of the columns and rows (n, columns), which may lie in ``data``.
+
+        Raises GearboxError if it is no such message.
+        """
+        if len(data) != self._size or data[: len(self._prefix)] != self._prefix:
+            self._understand(data)
+        rows = np.frombuffer(data, dtype="<f8", offset=len(self._prefix))
+        return self._names, rows.reshape(-1, len(self._names))
+
+    def _understand(self, data: bytes | memoryview) -> None:
+        try:
+            self._names, rows = waveform_samples(deserialize(ARRAY, data))
+        except Exception as error:  # rosbags has no common class for what it finds wrong with bytes
+            raise GearboxError(f"what should hold rows of numbers does not: {error}") from error
+        self._size = len(data)
+        self._prefix = bytes(data[: len(data) - rows.nbytes])
 
 
 def joint_state(

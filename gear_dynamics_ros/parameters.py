@@ -556,6 +556,11 @@ def load(path: str | Path, overrides: Iterable[str] = ()) -> Parameters:
         raise UsageError(f"{source}: {error}") from None
 
 
+def parse(text: str) -> Parameters:
+    """Parameters from the text of a ROS parameter file. Raises UsageError as ``load`` does."""
+    return Parameters.from_flat(_read_file(text))
+
+
 def dump(parameters: Parameters) -> str:
     """Text of a ROS parameter file that rcl and ``load`` read back to the same bits."""
     lines = ["/**:", "  ros__parameters:"]

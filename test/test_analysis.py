@@ -13,7 +13,6 @@ from matplotlib.image import imread
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.analysis import ledger, sections, spectra
-from gear_dynamics_ros.analysis.samples import Samples
 from gear_dynamics_ros.analysis.statistics import Envelope, Quantities, Statistics, quantities
 from gear_dynamics_ros.analysis.summary import Span, steady_window
 from gear_dynamics_ros.cli import analyze
@@ -22,6 +21,7 @@ from gear_dynamics_ros.messages import Encoder
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics.derived import base_radii
 from gear_dynamics_ros.recording.writer import Recorder
+from gear_dynamics_ros.samples import Samples
 from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN
 
 INTERVAL = 1e-5

@@ -13,11 +13,11 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from gear_dynamics_ros import palette
-from gear_dynamics_ros.analysis.samples import GEARS, Samples, contact_channels, film_channels
 from gear_dynamics_ros.analysis.spectra import amplitude_spectrum
 from gear_dynamics_ros.analysis.statistics import Envelope, bearing_force_name
 from gear_dynamics_ros.analysis.summary import mesh_rate, section
 from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.samples import GEARS, Samples, contact_channels, film_channels
 
 MICRO: Final = 1e6
 KILO: Final = 1e-3

@@ -8,8 +8,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gear_dynamics_ros.analysis.samples import GEARS
 from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.samples import GEARS
 from gear_dynamics_ros.signals import ENERGIES, IMPACTS
 
 NAMES: Final = tuple(energy.name for energy in ENERGIES)

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gear_dynamics_ros.analysis.samples import GEARS, Samples
 from gear_dynamics_ros.analysis.sections import FLANKS, MeshingShares, flank_counts
+from gear_dynamics_ros.samples import GEARS, Samples
 
 
 class Totals(NamedTuple):

@@ -5,29 +5,25 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-import numpy as np
-
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.analysis import ledger, summary
-from gear_dynamics_ros.analysis.samples import GEARS, Samples, contact_channels
 from gear_dynamics_ros.analysis.spectra import SHORTEST
 from gear_dynamics_ros.analysis.statistics import Envelope, Statistics, quantities
 from gear_dynamics_ros.analysis.summary import Span
 from gear_dynamics_ros.cli.common import Progress, guarded
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.messages import waveform_samples
 from gear_dynamics_ros.recording import Event, Recording
 from gear_dynamics_ros.run import RESET, RESTORE
+from gear_dynamics_ros.samples import GEARS, Samples, contact_channels
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WINDOW_SAMPLES: Final = 1_000_000
-BLOCK_SAMPLES: Final = 20_000
 SUMMARY_FILE: Final = "summary.json"
 IMPACTS_FILE: Final = "impacts.csv"
 
@@ -63,7 +59,7 @@ def analyze(arguments: argparse.Namespace) -> int:
         raise GearboxError(f"{arguments.bag} holds no samples: nothing to analyse")
     changes = change_times(bag)
     window = choose_window(bag, changes, arguments.start, arguments.end)
-    samples = load(bag, window)
+    samples = bag.window(*window)
     whole = survey(bag)
     arguments.output.mkdir(parents=True, exist_ok=True)
     found = describe(bag, whole, samples)
@@ -122,36 +118,16 @@ def choose_window(bag: Recording, changes: Sequence[float], start: float | None,
     return window
 
 
-def load(bag: Recording, window: Span) -> Samples:
-    """The samples of one window."""
-    first, end = (round(time / interval(bag)) for time in window)
-    first = max(first, bag.first_sample)
-    return Samples(first, interval(bag), bag.channel_names, bag.waveform(first, end))
-
-
 def survey(bag: Recording) -> Pass:
     """One pass through everything, in pieces."""
     found = Pass(Statistics(), Envelope())
     with Progress("reading", bag.end_sample - bag.first_sample) as progress:
-        for samples in blocks(bag):
+        for samples in bag.blocks():
             columns = quantities(samples)
             found.statistics.add(samples, columns)
             found.envelope.add(samples, columns)
             progress(found.statistics.samples)
     return found
-
-
-def blocks(bag: Recording) -> Iterator[Samples]:
-    """The recording's chunks joined to blocks that are worth a numpy call."""
-    first, waiting, rows = bag.first_sample, [], 0
-    for _, values in bag.chunks():
-        waiting.append(values)
-        rows += len(values)
-        if rows >= BLOCK_SAMPLES:
-            yield Samples(first, interval(bag), bag.channel_names, np.concatenate(waiting))
-            first, waiting, rows = first + rows, [], 0
-    if waiting:
-        yield Samples(first, interval(bag), bag.channel_names, np.concatenate(waiting))
 
 
 def describe(bag: Recording, whole: Pass, samples: Samples) -> dict[str, Any]:
@@ -184,9 +160,8 @@ def described(event: Event) -> dict[str, Any]:
 def energy(bag: Recording) -> dict[str, Any] | None:
     """The energy balance over the whole recording, None where it lacks the topic."""
     balance = ledger.Ledger([event.sample for event in bag.events if event.kind in (RESET, RESTORE)])
-    for time_ns, message in bag.messages("energy"):
-        _, rows = waveform_samples(message)
-        balance.add((time_ns - bag.epoch_ns) // bag.sample_interval_ns + 1, rows[0])
+    for time_ns, rows in bag.rows("energy"):
+        balance.add(bag.sample(time_ns) + 1, rows[0])
     return balance.block(interval(bag), bag.parameters)
 
 
@@ -195,8 +170,7 @@ def list_impacts(bag: Recording, path: Path) -> dict[str, Any]:
     totals = ledger.Impacts(bag.parameters.bearings.minimum_impact_speed)
     with path.open("w", encoding="utf-8") as file:
         file.write(ledger.CSV_HEADER + "\n")
-        for _, message in bag.messages("impacts"):
-            _, rows = waveform_samples(message)
+        for _, rows in bag.rows("impacts"):
             totals.add(rows)
             file.writelines(ledger.csv_lines(rows))
     return {"list": path.name, **totals.block()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -14,12 +15,14 @@ from gear_dynamics_ros.messages import TYPESTORE, Topic
 METADATA_FILE: Final = "metadata.yaml"
 PARAMETERS_ATTACHMENT: Final = "parameters.yaml"
 START_ATTACHMENT: Final = "start.json"
+END_ATTACHMENT: Final = "end.json"
 RUN_METADATA: Final = "gear_dynamics_ros"
 ROSBAG2_METADATA: Final = "rosbag2"
 ROSBAG2_KEY: Final = "serialized_metadata"
 ROS_DISTRO: Final = "jazzy"
 
 _INFORMATION = "rosbag2_bagfile_information"
+_CHECKPOINT = re.compile(r"checkpoint_(\d+)\.json")
 
 
 class Part(NamedTuple):
@@ -44,6 +47,9 @@ class RunMetadata(NamedTuple):
     epoch_ns: int
     node: str
     sample_interval_ns: int
+    processor: str = ""
+    compiler: str = ""
+    libraries: str = ""
 
     def to_text(self) -> dict[str, str]:
         """Values as the text that MCAP stores."""
@@ -58,6 +64,7 @@ class RunMetadata(NamedTuple):
             epoch_ns=int(values["epoch_ns"]),
             node=values["node"],
             sample_interval_ns=int(values["sample_interval_ns"]),
+            **{name: values.get(name, "") for name in ("processor", "compiler", "libraries")},
         )
 
 
@@ -70,6 +77,17 @@ def part_number(path: Path) -> int:
     """Inverse of ``part_name``; -1 for a name without a number."""
     digits = path.stem.rpartition("_")[2]
     return int(digits) if digits.isdecimal() else -1
+
+
+def checkpoint_name(sample: int) -> str:
+    """Name of the attachment with the state before ``sample``."""
+    return f"checkpoint_{sample}.json"
+
+
+def checkpoint_sample(name: str) -> int | None:
+    """Inverse of ``checkpoint_name``; None for another attachment."""
+    found = _CHECKPOINT.fullmatch(name)
+    return int(found[1]) if found else None
 
 
 @cache

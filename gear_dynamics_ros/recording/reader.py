@@ -3,33 +3,25 @@
 from __future__ import annotations
 
 import json
-import tempfile
+import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
-from mcap.records import Message
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.messages import (
-    TOPICS,
-    applied_commands,
-    deserialize,
-    resolve,
-    stamp_ns,
-    waveform_samples,
-)
-from gear_dynamics_ros.parameters import Parameters, load
+from gear_dynamics_ros.messages import TOPICS, RowReader, applied_commands, deserialize, resolve, stamp_ns
+from gear_dynamics_ros.parameters import Parameters, parse
 from gear_dynamics_ros.recording import layout
-from gear_dynamics_ros.recording.layout import RunMetadata
-from gear_dynamics_ros.recording.survey import Survey, read_attachments, read_chunk, read_metadata, survey
-from gear_dynamics_ros.signals import Commands
+from gear_dynamics_ros.recording.parts import PartFile, Stored, open_parts
+from gear_dynamics_ros.samples import Samples
+from gear_dynamics_ros.signals import IMPACTS, Commands
+
+BLOCK_SAMPLES: Final = 20_000
 
 
 class Event(NamedTuple):
@@ -52,40 +44,45 @@ class TopicCount(NamedTuple):
     messages: int
 
 
-@dataclass(frozen=True)
-class PartFile:
-    """One MCAP file of a recording."""
-
-    path: Path
-    run: RunMetadata
-    start: dict[str, Any]  # checkpoint from which the part starts
-    size: int  # bytes
-    found: Survey
-
-    @property
-    def complete(self) -> bool:
-        """Whether the file was finished; False after a crash."""
-        return self.found.complete
-
-
 class Recording:
     """A recording, folder or single MCAP file; ``open`` makes it.
 
-    Samples are counted from the start of the run; a part of a run begins at ``first_sample``.
+    Samples are counted from the start of the run; a part of a run begins at ``first_sample``. Times are
+    simulated, in s. Several threads may read at once.
     """
 
     def __init__(self, path: Path, parts: tuple[PartFile, ...], parameters: Parameters) -> None:
         self.path = path
         self.parts = parts
         self.parameters = parameters
-        run = parts[0].run
-        self.epoch_ns = run.epoch_ns
-        self.node = run.node
-        self.version = run.version
-        self.kernel_hash = run.kernel_hash
-        self.sample_interval_ns = run.sample_interval_ns
-        self._names = {key: resolve(topic, run.node) for key, topic in TOPICS.items()}
+        self.run = parts[0].run
+        self._names = {key: resolve(topic, self.run.node) for key, topic in TOPICS.items()}
         self._span: tuple[int, int] | None = None
+
+    @property
+    def epoch_ns(self) -> int:
+        """Stamp of simulated time 0."""
+        return self.run.epoch_ns
+
+    @property
+    def node(self) -> str:
+        """Full name of the node."""
+        return self.run.node
+
+    @property
+    def version(self) -> str:
+        """Version of the package that made the recording."""
+        return self.run.version
+
+    @property
+    def kernel_hash(self) -> str:
+        """SHA-256 of the source of the kernel that made the recording."""
+        return self.run.kernel_hash
+
+    @property
+    def sample_interval_ns(self) -> int:
+        """Simulated time between two samples."""
+        return self.run.sample_interval_ns
 
     @property
     def start(self) -> dict[str, Any]:
@@ -137,15 +134,69 @@ class Recording:
     @property
     def commands(self) -> list[tuple[int, Commands]]:
         """Commands in force, each from its sample on."""
-        return [
-            (self._sample(stamp_ns(message.header.stamp)), applied_commands(message))
-            for message in self._latched("applied_command")
-        ]
+        return [self._command(data) for data in self._latched("applied_command")]
 
     @property
     def events(self) -> list[Event]:
         """Events in their order."""
-        return [_event(json.loads(message.data)) for message in self._latched("event")]
+        return [_event(data) for data in self._latched("event")]
+
+    def waveform(self, first: int | None = None, last: int | None = None) -> NDArray[np.float64]:
+        """Samples ``first`` to before ``last``, shape (n, channels), as far as the recording holds them.
+
+        Raises GearboxError where samples are missing or doubled.
+        """
+        begin = self.first_sample if first is None else max(first, self.first_sample)
+        beyond = self.end_sample if last is None else min(last, self.end_sample)
+        return self._gather(begin, beyond, slice(None), len(self.channel_names))
+
+    def window(
+        self,
+        start: float | None = None,
+        end: float | None = None,
+        channels: Sequence[str] | None = None,
+    ) -> Samples:
+        """The samples at times in [start, end), columns in the order of ``channels`` (default: all).
+
+        All of them in memory: 8 bytes a channel and sample; ``blocks`` comes piece by piece. What the
+        recording does not cover is left out. Raises UsageError on a channel that is not there, GearboxError
+        where samples are missing.
+        """
+        first, beyond = self._clip(start, end)
+        names, columns = self._columns(channels)
+        rows = self._gather(first, beyond, columns, len(names))
+        return Samples(first, self.parameters.solver.sample_interval, names, rows)
+
+    def blocks(
+        self,
+        start: float | None = None,
+        end: float | None = None,
+        channels: Sequence[str] | None = None,
+        rows: int = BLOCK_SAMPLES,
+    ) -> Iterator[Samples]:
+        """The same in pieces of at least ``rows`` samples, and the rest."""
+        first, beyond = self._clip(start, end)
+        names, columns = self._columns(channels)
+        interval = self.parameters.solver.sample_interval
+        waiting: list[NDArray[np.float64]] = []
+        held = 0
+        for _, samples in self.chunks(first, beyond) if first < beyond else ():
+            waiting.append(samples[:, columns])
+            held += len(samples)
+            if held >= rows:
+                yield Samples(first, interval, names, np.concatenate(waiting))
+                first, waiting, held = first + held, [], 0
+        if waiting:
+            yield Samples(first, interval, names, np.concatenate(waiting))
+
+    def impacts(self, start: float | None = None, end: float | None = None) -> NDArray[np.float64]:
+        """Bearing contacts that ended at times in [start, end): shape (n, 6), columns signals.IMPACTS."""
+        found = [np.empty((0, len(IMPACTS)))]
+        for _, rows in self.rows("impacts"):
+            ends = rows[:, 1]
+            low, high = -math.inf if start is None else start, math.inf if end is None else end
+            found.append(rows[(ends >= low) & (ends < high)])
+        return np.concatenate(found)
 
     def chunks(
         self, first: int | None = None, end: int | None = None
@@ -156,13 +207,8 @@ class Recording:
         """
         expected: int | None = None
         from_ns = None if first is None else self.epoch_ns + first * self.sample_interval_ns
-        for message in self._messages("waveform", from_ns):
-            names, samples = waveform_samples(deserialize(TOPICS["waveform"].type, message.data))
-            if names != self.channel_names:
-                raise GearboxError(
-                    f"{self.path}: the waveform's channels differ from waveform_channels: {names}"
-                )
-            begin = self._sample(message.log_time) - len(samples) + 1
+        for time_ns, samples in self._waveform(from_ns):
+            begin = self.sample(time_ns) - len(samples) + 1
             if expected is not None and begin != expected:
                 raise GearboxError(f"{self.path}: sample {expected} should follow, but sample {begin} does")
             expected = begin + len(samples)
@@ -170,45 +216,93 @@ class Recording:
             high = len(samples) if end is None else min(end - begin, len(samples))
             if low < high:
                 yield begin + low, samples[low:high]
-            if end is not None and expected >= end:
+            if end is not None and end <= expected < self.end_sample:
                 return
 
-    def waveform(self, first: int | None = None, last: int | None = None) -> NDArray[np.float64]:
-        """Samples ``first`` to before ``last``, shape (n, channels), as far as the recording holds them.
-
-        Raises GearboxError where samples are missing or doubled.
-        """
-        begin = self.first_sample if first is None else max(first, self.first_sample)
-        end = self.end_sample if last is None else min(last, self.end_sample)
-        rows = np.empty((max(end - begin, 0), len(self.channel_names)))
-        if len(rows):
-            for at, samples in self.chunks(begin, None if last is None else end):
-                rows[at - begin : at - begin + len(samples)] = samples
-        return rows
+    def rows(self, topic: str) -> Iterator[tuple[int, NDArray[np.float64]]]:
+        """Time in ns and rows of each message of a topic of arrays (key in TOPICS)."""
+        read = RowReader()
+        for message in self._messages(topic):
+            yield message.time_ns, read.read(message.data)[1]
 
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
         """Time in ns and decoded message of each message of ``topic`` (key in TOPICS)."""
         for message in self._messages(topic):
-            yield message.log_time, deserialize(TOPICS[topic].type, message.data)
+            yield message.time_ns, deserialize(TOPICS[topic].type, message.data)
 
-    def _sample(self, time_ns: int) -> int:
+    def sample(self, time_ns: int) -> int:
+        """Index of the sample with the stamp ``time_ns``. Raises GearboxError if there can be none."""
         sample, rest = divmod(time_ns - self.epoch_ns, self.sample_interval_ns)
         if rest:
             raise GearboxError(f"{self.path}: the time {time_ns} ns is that of no sample")
         return sample
 
-    def _messages(self, topic: str, from_ns: int | None = None) -> Iterator[Message]:
-        for part in self.parts:
-            yield from _part_messages(part, self._names[topic], from_ns)
+    def actions(self, number: int) -> list[tuple[int, Event | Commands]]:
+        """What acted on the model in part ``number``, by sample and in order; not what it only repeats."""
+        part = self.parts[number]
+        events = (_event(data) for data in self._latched_in(number, "event"))
+        actions: list[tuple[int, Event | Commands]] = [(event.sample, event) for event in events]
+        actions.extend(self._command(data) for data in self._latched_in(number, "applied_command"))
+        # Commands act with the first sample of a chunk, after what happened before it.
+        return sorted((action for action in actions if action[0] >= part.first_sample), key=lambda a: a[0])
 
-    def _latched(self, topic: str) -> Iterator[Any]:
-        """Decoded messages of a latched topic without the repetition at the start of each part."""
-        previous = b""
+    def _clip(self, start: float | None, end: float | None) -> tuple[int, int]:
+        """The samples [first, beyond) at times in [start, end), as far as there are any."""
+        first = self.first_sample if start is None else max(self._at(start), self.first_sample)
+        beyond = self.end_sample if end is None else min(self._at(end), self.end_sample)
+        return first, max(first, beyond)
+
+    def _at(self, time: float) -> int:
+        """Index of the first sample at or after ``time`` s, to the picosecond."""
+        if not math.isfinite(time):
+            raise UsageError(f"the time {time} s is not finite: give a number of seconds")
+        return math.ceil(round(time * 1e9, 3) / self.sample_interval_ns)
+
+    def _columns(self, channels: Sequence[str] | None) -> tuple[tuple[str, ...], list[int] | slice]:
+        known = self.channel_names
+        if channels is None:
+            return known, slice(None)
+        for name in channels:
+            if name not in known:
+                raise UsageError(f"there is no channel '{name}' in {self.path}: it has {', '.join(known)}")
+        return tuple(channels), [known.index(name) for name in channels]
+
+    def _gather(self, first: int, beyond: int, columns: list[int] | slice, width: int) -> NDArray[np.float64]:
+        rows = np.empty((max(beyond - first, 0), width))
+        if len(rows):
+            for at, samples in self.chunks(first, beyond):
+                rows[at - first : at - first + len(samples)] = samples[:, columns]
+        return rows
+
+    def _waveform(self, from_ns: int | None) -> Iterator[tuple[int, NDArray[np.float64]]]:
+        read = RowReader()
+        for message in self._messages("waveform", from_ns):
+            names, samples = read.read(message.data)
+            if names != self.channel_names:
+                raise GearboxError(
+                    f"{self.path}: the waveform's channels differ from waveform_channels: {names}"
+                )
+            yield message.time_ns, samples
+
+    def _messages(self, topic: str, from_ns: int | None = None) -> Iterator[Stored]:
         for part in self.parts:
-            for number, message in enumerate(_part_messages(part, self._names[topic])):
-                if number or message.data != previous:
-                    yield deserialize(TOPICS[topic].type, message.data)
-                previous = message.data
+            yield from part.messages(self._names[topic], from_ns)
+
+    def _latched(self, topic: str) -> Iterator[bytes]:
+        for number in range(len(self.parts)):
+            yield from self._latched_in(number, topic)
+
+    def _latched_in(self, number: int, topic: str) -> Iterator[bytes]:
+        """Messages of a latched topic in a part, without the last of the part before, which it repeats."""
+        name = self._names[topic]
+        before = self.parts[number - 1].last_message(name) if number else None
+        for position, message in enumerate(self.parts[number].messages(name)):
+            if position or before is None or message.data != before.data:
+                yield bytes(message.data)
+
+    def _command(self, data: bytes) -> tuple[int, Commands]:
+        message = deserialize(TOPICS["applied_command"].type, data)
+        return self.sample(stamp_ns(message.header.stamp)), applied_commands(message)
 
     def _sample_span(self) -> tuple[int, int]:
         if self._span is None:
@@ -216,18 +310,18 @@ class Recording:
         return self._span
 
     def _find_span(self) -> tuple[int, int]:
-        earliest = next(self._messages("waveform"), None)
+        earliest = next(self._waveform(None), None)
         if earliest is None:
             sample = int(self.start["sample"])
             return sample, sample
-        rows = len(waveform_samples(deserialize(TOPICS["waveform"].type, earliest.data))[1])
-        latest = earliest
+        time_ns, samples = earliest
+        last_ns = time_ns
         for part in reversed(self.parts):
-            found = _last_message(part, self._names["waveform"])
+            found = part.last_message(self._names["waveform"])
             if found is not None:
-                latest = found
+                last_ns = found.time_ns
                 break
-        return self._sample(earliest.log_time) - rows + 1, self._sample(latest.log_time) + 1
+        return self.sample(time_ns) - len(samples) + 1, self.sample(last_ns) + 1
 
 
 def open(path: str | Path) -> Recording:
@@ -236,11 +330,15 @@ def open(path: str | Path) -> Recording:
     Raises UsageError if there is none, GearboxError if it wasn't written by this package or is spoilt.
     """
     path = Path(path)
-    parts = _open_parts(_files(path))
-    return Recording(path, parts, _parameters(parts[0].path))
+    parts = open_parts(path)
+    try:
+        return Recording(path, parts, parse(parts[0].parameters))
+    except UsageError as error:
+        raise GearboxError(f"{parts[0].path}: {layout.PARAMETERS_ATTACHMENT}: {error}") from error
 
 
-def _event(entry: dict[str, Any]) -> Event:
+def _event(data: bytes) -> Event:
+    entry = json.loads(deserialize(TOPICS["event"].type, data).data)
     return Event(
         sample=entry["sample"],
         time=entry["time"],
@@ -250,95 +348,3 @@ def _event(entry: dict[str, Any]) -> Event:
         parameters=entry.get("parameters", {}),
         checkpoint=entry.get("checkpoint", {}),
     )
-
-
-def _files(path: Path) -> list[Path]:
-    if path.is_file():
-        return [path]
-    if not path.is_dir():
-        raise UsageError(f"no recording at '{path}': give a rosbag2 folder or an .mcap file")
-    files = sorted(path.glob("*.mcap"), key=layout.part_number)
-    if not files:
-        raise UsageError(f"no recording in '{path}': the folder holds no .mcap file")
-    return files
-
-
-def _open_parts(files: list[Path]) -> tuple[PartFile, ...]:
-    parts = [_open_part(file) for file in files[:-1]]
-    try:
-        parts.append(_open_part(files[-1]))
-    except GearboxError:
-        # A crash right after a split leaves a last file without even its start, and no message in it.
-        if not parts:
-            raise
-    return tuple(parts)
-
-
-def _open_part(path: Path) -> PartFile:
-    with _reading(path) as stream:
-        found = survey(stream)
-        attachments = read_attachments(stream, found)
-        records = read_metadata(stream, found)
-        try:
-            run = RunMetadata.from_text(records[layout.RUN_METADATA])
-            start = json.loads(attachments[layout.START_ATTACHMENT])
-        except (KeyError, ValueError) as error:
-            raise GearboxError(
-                f"'{path}' is no recording of this package, or its start is lost: {error}"
-            ) from error
-        return PartFile(path, run, start, path.stat().st_size, found)
-
-
-def _parameters(path: Path) -> Parameters:
-    with _reading(path) as stream:
-        attachments = read_attachments(stream, survey(stream))
-    if layout.PARAMETERS_ATTACHMENT not in attachments:
-        raise GearboxError(
-            f"'{path}' is no recording of this package: it lacks {layout.PARAMETERS_ATTACHMENT}"
-        )
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / layout.PARAMETERS_ATTACHMENT
-        file.write_bytes(attachments[layout.PARAMETERS_ATTACHMENT])
-        return load(file)
-
-
-@contextmanager
-def _reading(path: Path) -> Iterator[BinaryIO]:
-    try:
-        stream = path.open("rb")
-    except OSError as error:
-        raise GearboxError(f"can't read '{path}': {error.strerror}") from error
-    with stream:
-        yield stream
-
-
-def _part_messages(part: PartFile, topic: str, from_ns: int | None = None) -> Iterator[Message]:
-    number = _channel(part, topic)
-    with _reading(part.path) as stream:
-        for index in part.found.chunks:
-            if number not in index.message_index_offsets:
-                continue
-            if from_ns is not None and index.message_end_time < from_ns:
-                continue
-            for record in read_chunk(stream, index):
-                if (
-                    isinstance(record, Message)
-                    and record.channel_id == number
-                    and (from_ns is None or record.log_time >= from_ns)
-                ):
-                    yield record
-
-
-def _last_message(part: PartFile, topic: str) -> Message | None:
-    number = _channel(part, topic)
-    with _reading(part.path) as stream:
-        for index in reversed(part.found.chunks):
-            if number in index.message_index_offsets:
-                records = read_chunk(stream, index)
-                messages = [r for r in records if isinstance(r, Message) and r.channel_id == number]
-                return messages[-1]
-    return None
-
-
-def _channel(part: PartFile, topic: str) -> int | None:
-    return next((number for number, channel in part.found.channels.items() if channel.topic == topic), None)

@@ -27,7 +27,7 @@ from mcap.records import (
     Schema,
     Statistics,
 )
-from mcap.stream_reader import breakup_chunk
+from mcap.stream_reader import breakup_chunk, get_chunk_data_stream
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 
@@ -88,15 +88,14 @@ def read_record(stream: BinaryIO, offset: int) -> bytes:
     return stream.read(length)
 
 
-def read_chunk(stream: BinaryIO, index: ChunkIndex) -> list[Schema | Channel | Message]:
-    """The records inside a chunk. Raises GearboxError if its checksum or content is spoilt."""
-    return _unpack(_parse(read_record(stream, index.chunk_start_offset), Chunk.read), stream.name)
+def read_content(stream: BinaryIO, index: ChunkIndex) -> bytes:
+    """The records inside a chunk as bytes. Raises GearboxError if its checksum or content is spoilt."""
+    return _decompress(_parse(read_record(stream, index.chunk_start_offset), Chunk.read), stream.name)
 
 
-def read_attachments(stream: BinaryIO, found: Survey) -> dict[str, bytes]:
-    """Attachments by name."""
-    attachments = (_parse(read_record(stream, index.offset), Attachment.read) for index in found.attachments)
-    return {attachment.name: attachment.data for attachment in attachments}
+def read_attachment(stream: BinaryIO, index: AttachmentIndex) -> bytes:
+    """Content of an attachment."""
+    return bytes(_parse(read_record(stream, index.offset), Attachment.read).data)
 
 
 def read_metadata(stream: BinaryIO, found: Survey) -> dict[str, dict[str, str]]:
@@ -243,6 +242,14 @@ def _attachment_index(offset: int, length: int, attachment: Attachment) -> Attac
         name=attachment.name,
         media_type=attachment.media_type,
     )
+
+
+def _decompress(chunk: Chunk, name: str) -> bytes:
+    try:
+        stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+    except Exception as error:  # the decompressors have errors of their own, each another
+        raise GearboxError(f"{name}: a chunk is spoilt: {error}") from error
+    return bytes(stream.read(size))
 
 
 def _unpack(chunk: Chunk, name: str) -> list[Schema | Channel | Message]:

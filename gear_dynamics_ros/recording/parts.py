@@ -1,0 +1,186 @@
+"""The MCAP files of a recording: what each starts from, and its messages one by one."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, Final, NamedTuple
+
+from mcap.opcode import Opcode
+from mcap.records import AttachmentIndex
+
+from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.recording import layout
+from gear_dynamics_ros.recording.layout import RunMetadata
+from gear_dynamics_ros.recording.survey import (
+    Survey,
+    read_attachment,
+    read_content,
+    read_metadata,
+    survey,
+)
+
+_RECORD: Final = struct.Struct("<BQ")
+_MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+
+
+class Stored(NamedTuple):
+    """A message as it stands in a file."""
+
+    time_ns: int
+    data: memoryview  # CDR
+
+
+@dataclass(frozen=True)
+class PartFile:
+    """One MCAP file of a recording."""
+
+    path: Path
+    run: RunMetadata
+    parameters: str  # those in force at the start, as ``parameters.dump`` writes them
+    start: dict[str, Any]  # checkpoint from which the part starts
+    size: int  # bytes
+    found: Survey
+
+    @property
+    def complete(self) -> bool:
+        """Whether the file was finished; False after a crash."""
+        return self.found.complete
+
+    @property
+    def first_sample(self) -> int:
+        """Sample before which the part starts."""
+        return int(self.start["sample"])
+
+    @property
+    def end(self) -> bool:
+        """Whether the file holds the state in which the recording ended."""
+        return any(index.name == layout.END_ATTACHMENT for index in self.found.attachments)
+
+    @property
+    def checkpoints(self) -> dict[int, AttachmentIndex]:
+        """Where the checkpoints behind the start are, by sample, in order."""
+        numbered = [(layout.checkpoint_sample(index.name), index) for index in self.found.attachments]
+        return dict(sorted((sample, index) for sample, index in numbered if sample is not None))
+
+    def attachment(self, index: AttachmentIndex) -> bytes:
+        """Content of an attachment. Raises GearboxError if it is spoilt."""
+        with reading(self.path) as stream:
+            return read_attachment(stream, index)
+
+    def end_state(self) -> bytes:
+        """The state in which the recording ended, if ``end``."""
+        return self.attachment(_index(self.found, layout.END_ATTACHMENT))
+
+    def messages(self, topic: str, from_ns: int | None = None) -> Iterator[Stored]:
+        """Messages of the topic with this full name in their order, those before ``from_ns`` left out.
+
+        Holds one chunk of the file at a time. Raises GearboxError where a chunk is spoilt.
+        """
+        number = self._channel(topic)
+        with reading(self.path) as stream:
+            for index in self.found.chunks:
+                if number not in index.message_index_offsets:
+                    continue
+                if from_ns is not None and index.message_end_time < from_ns:
+                    continue
+                for message in _messages(read_content(stream, index), number):
+                    if from_ns is None or message.time_ns >= from_ns:
+                        yield message
+
+    def last_message(self, topic: str) -> Stored | None:
+        """The last message of a topic."""
+        number = self._channel(topic)
+        with reading(self.path) as stream:
+            for index in reversed(self.found.chunks):
+                if number in index.message_index_offsets:
+                    *_, last = _messages(read_content(stream, index), number)
+                    return last
+        return None
+
+    def _channel(self, topic: str) -> int | None:
+        channels = self.found.channels.items()
+        return next((number for number, channel in channels if channel.topic == topic), None)
+
+
+def open_parts(path: Path) -> tuple[PartFile, ...]:
+    """The files of the recording at ``path``, a rosbag2 folder or one MCAP file, in order.
+
+    Raises UsageError if there is none, GearboxError if one wasn't written by this package or is spoilt.
+    """
+    files = part_files(path)
+    parts = [_open_part(file) for file in files[:-1]]
+    try:
+        parts.append(_open_part(files[-1]))
+    except GearboxError:
+        # A crash right after a split leaves a last file without even its start, and no message in it.
+        if not parts:
+            raise
+    return tuple(parts)
+
+
+def part_files(path: Path) -> Sequence[Path]:
+    """Paths of the files of a recording, in order. Raises UsageError if there is none."""
+    if path.is_file():
+        return [path]
+    if not path.is_dir():
+        raise UsageError(f"no recording at '{path}': give a rosbag2 folder or an .mcap file")
+    files = sorted(path.glob("*.mcap"), key=layout.part_number)
+    if not files:
+        raise UsageError(f"no recording in '{path}': the folder holds no .mcap file")
+    return files
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[BinaryIO]:
+    """The file open for reading. Raises GearboxError if it can't be."""
+    try:
+        stream = path.open("rb")
+    except OSError as error:
+        raise GearboxError(f"can't read '{path}': {error.strerror}") from error
+    with stream:
+        yield stream
+
+
+def _open_part(path: Path) -> PartFile:
+    with reading(path) as stream:
+        found = survey(stream)
+        try:
+            run = RunMetadata.from_text(read_metadata(stream, found)[layout.RUN_METADATA])
+            parameters, start = (
+                read_attachment(stream, _index(found, name)).decode()
+                for name in (layout.PARAMETERS_ATTACHMENT, layout.START_ATTACHMENT)
+            )
+            return PartFile(path, run, parameters, json.loads(start), path.stat().st_size, found)
+        except (KeyError, ValueError) as error:
+            raise GearboxError(
+                f"'{path}' is no recording of this package, or its start is lost: {error}"
+            ) from error
+
+
+def _index(found: Survey, name: str) -> AttachmentIndex:
+    try:
+        return next(index for index in found.attachments if index.name == name)
+    except StopIteration:
+        raise KeyError(name) from None
+
+
+def _messages(content: bytes, wanted: int | None) -> Iterator[Stored]:
+    """Messages of one channel in the content of a chunk.
+
+    The mcap package makes an object of every record, which takes longer than decompressing them.
+    """
+    whole = memoryview(content)
+    offset = 0
+    while offset < len(content):
+        opcode, length = _RECORD.unpack_from(content, offset)
+        offset += _RECORD.size
+        if opcode == Opcode.MESSAGE:
+            channel, _, time_ns, _ = _MESSAGE.unpack_from(content, offset)
+            if channel == wanted:
+                yield Stored(time_ns, whole[offset + _MESSAGE.size : offset + length])
+        offset += length
