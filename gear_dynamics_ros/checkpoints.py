@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 from gear_dynamics_ros import __version__
 from gear_dynamics_ros.engine import Engine, kernel_hash
 from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.files import replace_text
 from gear_dynamics_ros.parameters import Parameters, differences, specifications, updated
 from gear_dynamics_ros.signals import Status
 
@@ -60,7 +61,34 @@ def take(engine: Engine) -> Saved:
     """The state of this moment. Raises GearboxError if the run has ended: nothing could go on from it."""
     if engine.status is not Status.RUNNING:
         raise GearboxError("no checkpoint can be taken: the run has ended; reset it first")
-    return Saved(engine.parameters, engine.checkpoint(), __version__, kernel_hash())
+    return of_this_version(engine.parameters, engine.checkpoint())
+
+
+def of_this_version(parameters: Parameters, checkpoint: dict[str, Any]) -> Saved:
+    """A state of this process's own."""
+    return Saved(parameters, checkpoint, __version__, kernel_hash())
+
+
+def to_text(saved: Saved) -> str:
+    """Text of a checkpoint file."""
+    return json.dumps(saved._asdict() | {"parameters": saved.parameters.to_flat()}, indent=1)
+
+
+def from_text(text: str, name: str) -> Saved:
+    """Inverse of ``to_text``; ``name`` is what errors call it. Raises UsageError if it is no checkpoint."""
+    try:
+        content = json.loads(text)
+        return Saved(
+            Parameters.from_flat(_mapping(content["parameters"])),
+            _mapping(content["checkpoint"]),
+            str(content["version"]),
+            str(content["kernel_hash"]),
+        )
+    except UsageError as error:
+        raise UsageError(f"checkpoint '{name}': {error}") from None
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        reason = " ".join(f"{error!r}".split())
+        raise UsageError(f"'{name}' is no checkpoint, or it is spoilt: {reason}") from None
 
 
 def save(path: Path, saved: Saved) -> None:
@@ -68,9 +96,8 @@ def save(path: Path, saved: Saved) -> None:
 
     Raises GearboxError if it can't be written.
     """
-    content = saved._asdict() | {"parameters": saved.parameters.to_flat()}
     try:
-        _replace(path, json.dumps(content, indent=1))
+        replace_text(path, to_text(saved))
     except OSError as error:
         raise GearboxError(
             f"checkpoint '{path}' can't be written: {error.strerror}: free space or choose another path"
@@ -90,19 +117,7 @@ def load(path: Path) -> Saved:
         raise UsageError(f"'{path}' is no checkpoint: it is no text") from None
     except OSError as error:
         raise GearboxError(f"checkpoint '{path}' can't be read: {error.strerror}") from error
-    try:
-        content = json.loads(text)
-        return Saved(
-            Parameters.from_flat(_mapping(content["parameters"])),
-            _mapping(content["checkpoint"]),
-            str(content["version"]),
-            str(content["kernel_hash"]),
-        )
-    except UsageError as error:
-        raise UsageError(f"checkpoint '{path}': {error}") from None
-    except (KeyError, TypeError, ValueError, RecursionError) as error:
-        reason = " ".join(f"{error!r}".split())
-        raise UsageError(f"'{path}' is no checkpoint, or it is spoilt: {reason}") from None
+    return from_text(text, str(path))
 
 
 def require_fitting(saved: Saved, running: Parameters) -> None:
@@ -138,26 +153,6 @@ def continued(saved: Saved, running: Parameters) -> Parameters:
 def decides_physics(name: str) -> bool:
     """Whether the parameter ``name`` (dotted) has a part in what follows from a state."""
     return name.split(".")[0] in _PHYSICS and name not in _NO_PHYSICS
-
-
-def _replace(path: Path, text: str) -> None:
-    draft = path.parent / f".{path.name}.part"
-    try:
-        draft.unlink(missing_ok=True)
-        with draft.open("x", encoding="utf-8") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        draft.replace(path)
-    except OSError:
-        draft.unlink(missing_ok=True)
-        raise
-    # Only with its folder is the new name on the disk.
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
 
 
 def _mapping(value: Any) -> dict[str, Any]:

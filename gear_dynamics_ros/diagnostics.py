@@ -21,6 +21,7 @@ from gear_dynamics_ros.viewer import Viewer
 
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
+FULL_SOON = 60.0  # s of wall time until recording stops for want of room
 UNITS = {"drive_torque": "N m", "load_torque": "N m", "speed": "rad/s"}
 
 
@@ -40,8 +41,14 @@ class CommandHealth(NamedTuple):
 
 class RecorderHealth(NamedTuple):
     path: str
-    stats: Stats
+    stats: Stats | None  # None where a recording was wanted and could not begin
     error: str | None
+
+
+class RingHealth(NamedTuple):
+    held: float  # s, simulated
+    bytes: int
+    snapshot: str  # path of the last one written
 
 
 class ViewerHealth(NamedTuple):
@@ -58,12 +65,13 @@ class Health(NamedTuple):
     counters: Counters
     condition: Condition | None
     recorder: RecorderHealth | None
+    ring: RingHealth | None
     viewer: ViewerHealth | None
 
 
 def health(session: Session, pace: Pace, viewer: Viewer | None, crowded: Sequence[str]) -> Health:
     """How everything stands; ``pace`` since the last report, ``crowded`` topics have several publishers."""
-    live, recorder = session.live, session.recordings.current
+    live = session.live
     state = (
         "ended" if live.ended else "inactive" if not live.active else "paused" if live.paused else "running"
     )
@@ -75,11 +83,26 @@ def health(session: Session, pace: Pace, viewer: Viewer | None, crowded: Sequenc
         commands=CommandHealth(tally, live.run.engine.commands, crowded, live.timed_out),
         counters=live.counters,
         condition=session.condition.report(),
-        recorder=None
-        if recorder is None
-        else RecorderHealth(str(recorder.path), recorder.stats, recorder.error),
+        recorder=_recorder_health(session),
+        ring=_ring_health(session),
         viewer=None if viewer is None else ViewerHealth(viewer.queued, viewer.dropped, viewer.error),
     )
+
+
+def _recorder_health(session: Session) -> RecorderHealth | None:
+    recorder = session.recordings.current
+    if recorder is not None:
+        return RecorderHealth(str(recorder.path), recorder.stats, recorder.error)
+    refusal = session.recordings.refusal
+    return RecorderHealth(session.parameters.recording.path, None, refusal) if refusal else None
+
+
+def _ring_health(session: Session) -> RingHealth | None:
+    ring = session.recordings.ring
+    if ring is None:
+        return None
+    held = ring.samples * session.parameters.solver.sample_interval_ns / 1e9
+    return RingHealth(held, ring.size, session.snapshot_path)
 
 
 class Surface(NamedTuple):
@@ -107,7 +130,7 @@ def statuses(name: str, node: str, health: Health, waves: Surface, checks: Seque
         "condition": _condition(health.run, health.condition),
         "step": _step(checks),
         "waveform": _waveform(waves),
-        "recorder": _recorder(health.recorder),
+        "recorder": _recorder(health.recorder, health.ring),
         "viewer": _viewer(health.viewer),
     }
     return [
@@ -230,12 +253,23 @@ def _waveform(waves: Surface) -> _Task:
     return OK, "sampling resolves the surface", values
 
 
-def _recorder(recorder: RecorderHealth | None) -> _Task:
+def _recorder(recorder: RecorderHealth | None, ring: RingHealth | None) -> _Task:
+    values: dict[str, object] = {}
+    if ring is not None:
+        values |= {
+            "ring (s)": f"{ring.held:.3f}",
+            "ring (bytes)": ring.bytes,
+            "last snapshot": ring.snapshot,
+        }
     if recorder is None:
-        return OK, "off", {}
-    values = {"path": recorder.path, **recorder.stats._asdict()}
+        return OK, "off" if ring is None else "keeping the ring", values
+    values["path"] = recorder.path
+    if recorder.stats is not None:
+        values |= recorder.stats._asdict()
     if recorder.error is not None:
         return ERROR, recorder.error, values
+    if recorder.stats is not None and recorder.stats.seconds_left < FULL_SOON:
+        return WARN, "the disk is full soon: free space or stop recording", values
     return OK, "recording", values
 
 

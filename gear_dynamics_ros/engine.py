@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +20,7 @@ CHECKPOINT_FORMAT = 2
 IMPACTS_A_CALL = 256
 
 
+@cache
 def kernel_hash() -> str:
     """SHA-256 of the kernel's source, as hexadecimal text."""
     return hashlib.sha256(Path(kernel.__file__).read_bytes()).hexdigest()

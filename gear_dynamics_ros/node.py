@@ -159,9 +159,10 @@ class GearboxNode(LifecycleNode):
         node = self.get_fully_qualified_name()
         session = Session(self._engine, self._mailbox, sinks, node, self._run_ended)
         if session.recordings.wanted:
-            path = session.recordings.begin(beside=self._recorded_before)
+            done = session.begin_recording(beside=self._recorded_before)
             self._recorded_before = True
-            self._log.info(f"recording to {path}")
+            if not session.recorder_errors:
+                self._log.info(done)
         return session
 
     def _release(self, reason: str) -> None:
@@ -186,6 +187,8 @@ class GearboxNode(LifecycleNode):
             self._stop(session.live.ended)
         else:
             self._log.error(f"run ended: {session.live.ended}; call ~/reset to recover")
+            if session.recordings.ring is not None:
+                self._log.info(f"what led to it is in {session.snapshot_path or 'no recording'}")
 
     def _active_session(self) -> Session:
         if self._session is None or not self._session.live.active:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future
-from typing import Any
+from typing import Any, TypeVar
 
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
@@ -14,6 +14,7 @@ from gear_dynamics_ros.session import Session
 
 Act = Callable[[Any], str]
 Find = Callable[[], Session]
+T = TypeVar("T")
 
 
 def create_services(node: Node, active: Find, restored: Callable[[Session], None]) -> None:
@@ -40,7 +41,8 @@ def create_services(node: Node, active: Find, restored: Callable[[Session], None
     }
     for name, (kind, act) in plain.items():
         node.create_service(kind, f"~/{name}", _serve(act))
-    _create_step_service(node, active)
+    _create_slow_service(node, "step", lambda: active().step(), lambda time: f"simulated {time:.9g} s")
+    _create_slow_service(node, "snapshot", lambda: active().snapshot(), lambda path: f"recorded {path}")
 
 
 def _serve(act: Act) -> Callable[[Any, Any], Any]:
@@ -56,38 +58,40 @@ def _serve(act: Act) -> Callable[[Any, Any], Any]:
     return answer
 
 
-def _create_step_service(node: Node, active: Find) -> None:
-    """``~/step``, answered when the chunks are made; meanwhile all other calls are served.
+def _create_slow_service(
+    node: Node, name: str, start: Callable[[], Future[T]], tell: Callable[[T], str]
+) -> None:
+    """A service answered, in words, when what it starts is done; meanwhile all other calls are served.
 
     rclpy sends what a callback returns at once, and its executor driven by events knows no coroutines. So
     the sending itself is put off until then.
     """
-    under_way: dict[int, Future[float]] = {}
+    under_way: dict[int, Future[T]] = {}
 
     def begin(_: Any, response: Any) -> Any:
         try:
-            under_way[id(response)] = active().step()
+            under_way[id(response)] = start()
         except GearboxError as error:
             response.message = str(error)
         return response
 
-    service = node.create_service(Trigger, "~/step", begin)
+    service = node.create_service(Trigger, f"~/{name}", begin)
     send = service.send_response
 
     def send_when_done(response: Any, header: Any) -> None:
-        steps = under_way.pop(id(response), None)
-        if steps is None:
+        future = under_way.pop(id(response), None)
+        if future is None:
             send(response, header)
         else:
-            steps.add_done_callback(lambda done: send(_result(done, response), header))
+            future.add_done_callback(lambda done: send(_result(done, tell, response), header))
 
     service.send_response = send_when_done  # type: ignore[method-assign]
 
 
-def _result(steps: Future[float], response: Any) -> Any:
+def _result(done: Future[T], tell: Callable[[T], str], response: Any) -> Any:
     try:
-        response.message = f"simulated {steps.result():.9g} s"
+        response.message = tell(done.result())
         response.success = True
-    except GearboxError as error:
+    except (GearboxError, OSError) as error:
         response.message = str(error)
     return response

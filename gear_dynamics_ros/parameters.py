@@ -32,6 +32,7 @@ OF_ROS = re.compile(
 )  # every ROS node has these
 MOST_HARMONICS = 32
 MOST_SAMPLES_PER_CHUNK = 1_000_000
+SMALLEST_SPLIT = 1_000_000  # bytes
 NANOSECONDS = 10**9
 
 
@@ -421,6 +422,35 @@ class Checkpoint:
 @dataclass(frozen=True, slots=True)
 class Recording:
     path: str = spec("", "folder to record to, must not exist yet; empty is no recording")
+    mode: str = spec(
+        "continuous",
+        "continuous: everything from the start on; ring: the last ring_duration is kept in memory, and "
+        "written where ~/snapshot asks for it or the run ends by a fault",
+        choices=("continuous", "ring"),
+    )
+    ring_duration: float = _positive(
+        5.0, "simulated time that the ring holds at least; 23 MB for a second", unit="s", maximum=3600.0
+    )
+    split_size: int = spec(
+        0, "size at which a new file begins; 0 is never", unit="B", minimum=0, maximum=1 << 50
+    )
+    split_duration: float = spec(
+        0.0,
+        "simulated time after which a new file begins; 0 is never",
+        unit="s",
+        minimum=0.0,
+        maximum=1e9,
+    )
+    checkpoint_interval: float = spec(
+        1.0,
+        "simulated time between two states in the recording, from which a replay may start; 0 is none",
+        unit="s",
+        minimum=0.0,
+        maximum=1e9,
+    )
+    minimum_free: int = spec(
+        10_000_000, "room on the disk below which recording stops", unit="B", minimum=0, maximum=1 << 50
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -835,6 +865,12 @@ def _check_outputs(parameters: Parameters) -> None:
     for name in channels:
         if channels.count(name) > 1:
             raise UsageError(f"waveform_channels names '{name}' {channels.count(name)} times: name it once")
+    split_size = parameters.recording.split_size
+    if 0 < split_size < SMALLEST_SPLIT:
+        raise UsageError(
+            f"recording.split_size = {split_size} B is too small for a file: "
+            f"it must be 0 (never) or >= {SMALLEST_SPLIT} B"
+        )
     rerun = parameters.rerun
     if rerun.mode == "save" and not rerun.path:
         raise UsageError("rerun.path is empty but rerun.mode = 'save' needs a file: name one")

@@ -7,35 +7,71 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages import Record
+from gear_dynamics_ros.recording.ring import Excerpt, Ring
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.run import Run
 from gear_dynamics_ros.signals import Chunk
 
 
 class RecorderSink:
-    """A recorder in a run that goes on without it: what it can't write it counts; ``error`` says why."""
+    """A recorder in a run that goes on without it: what it can't write it counts; ``error`` says why.
 
-    def __init__(self, recorder: Recorder) -> None:
+    Keeps checkpoints and begins new files at the ends of chunks, as the parameters in force say.
+    """
+
+    def __init__(self, recorder: Recorder, engine: Engine) -> None:
         self.recorder = recorder
+        self._engine = engine
+        self._part_began = self._marked = engine.sample
 
-    def write(self, _: Chunk | None, records: Sequence[Record]) -> None:
+    def write(self, chunk: Chunk | None, records: Sequence[Record]) -> None:
         self.recorder.write(records)
+        if chunk is not None:
+            self._mark()
+
+    def split(self) -> None:
+        """Go on in a new file."""
+        self._part_began = self._marked = self._engine.sample
+        self.recorder.split(self._engine.checkpoint(), self._engine.parameters)
+
+    def conclude(self) -> None:
+        """Let the recording end with the state of this moment."""
+        self.recorder.conclude(self._engine.checkpoint(), self._engine.parameters)
 
     def close(self) -> None:
+        self.conclude()
         self.recorder.close()
+
+    def _mark(self) -> None:
+        wanted = self._engine.parameters.recording
+        if 0 < wanted.split_size <= self.recorder.part_bytes or 0.0 < wanted.split_duration <= self._seconds(
+            self._part_began
+        ):
+            self.split()
+        elif 0.0 < wanted.checkpoint_interval <= self._seconds(self._marked):
+            self._marked = self._engine.sample
+            self.recorder.checkpoint(self._engine.checkpoint(), self._engine.parameters)
+
+    def _seconds(self, since: int) -> float:
+        """Simulated time since a sample."""
+        return (self._engine.sample - since) * self._engine.parameters.solver.sample_interval_ns / 1e9
 
 
 class Recordings:
-    """Starts and ends recordings of ``run``; the first at ``path``, later ones beside it."""
+    """Starts and ends recordings of ``run``; the first at ``recording.path``, later ones beside it."""
 
-    def __init__(self, path: str, run: Run, epoch_ns: int, node: str) -> None:
-        self._path = Path(path).absolute() if path else None
+    def __init__(self, run: Run, epoch_ns: int, node: str) -> None:
+        wanted = run.engine.parameters.recording
+        self._path = Path(wanted.path).absolute() if wanted.path else None
         self._run = run
         self._epoch_ns = epoch_ns
         self._node = node
         self._sink: RecorderSink | None = None
+        self._ring: Ring | None = None
+        self.refusal = ""  # why a recording that was wanted did not begin
 
     @property
     def wanted(self) -> bool:
@@ -47,20 +83,39 @@ class Recordings:
         """The recorder at work, also after an error of its own."""
         return self._sink.recorder if self._sink is not None else None
 
+    @property
+    def ring(self) -> Ring | None:
+        """The ring, where there is one."""
+        return self._ring
+
+    def arm(self) -> None:
+        """Keep the last ``recording.ring_duration`` in memory from the next sample on."""
+        self._ring = Ring(self._run.engine)
+        self._run.attach(self._ring)
+
     def begin(self, *, beside: bool) -> str:
         """Record from the next sample on; returns where.
 
         ``beside`` takes the first free of path, path_2, path_3, ... Raises UsageError if the path exists or
-        can't be made, GearboxError if there is none or a recording runs.
+        can't be made, GearboxError if there is none or a recording runs; ``refusal`` keeps why.
         """
-        if self._path is None:
-            raise GearboxError("recording.path is empty: start the node with a path to record to")
+        path = self._require_path()
         if self._sink is not None:
             raise GearboxError(f"already recording to {self._sink.recorder.path}: switch it off first")
-        path = _free(self._path) if beside else self._path
-        parameters = self._run.engine.parameters
-        recorder = Recorder(path, parameters, self._run.checkpoint(), self._epoch_ns, self._node)
-        self._sink = RecorderSink(recorder)
+        engine = self._run.engine
+        try:
+            recorder = Recorder(
+                _free(path) if beside else path,
+                engine.parameters,
+                self._run.checkpoint(),
+                self._epoch_ns,
+                self._node,
+            )
+        except GearboxError as error:
+            self.refusal = str(error)
+            raise
+        self.refusal = ""
+        self._sink = RecorderSink(recorder, engine)
         self._run.attach(self._sink)
         return str(recorder.path)
 
@@ -68,7 +123,7 @@ class Recordings:
         """Go on in a new file. Raises GearboxError if nothing is recorded."""
         if self._sink is None:
             raise GearboxError("nothing is recorded: call ~/record first")
-        self._sink.recorder.split(self._run.checkpoint(), self._run.engine.parameters)
+        self._sink.split()
 
     def end(self) -> Recorder | None:
         """Record no more; the caller closes what is returned."""
@@ -76,7 +131,29 @@ class Recordings:
             return None
         sink, self._sink = self._sink, None
         self._run.detach(sink)
+        sink.conclude()
         return sink.recorder
+
+    def cut(self) -> Excerpt:
+        """What the ring holds now. Raises GearboxError if there is none."""
+        if self._ring is None:
+            raise GearboxError(
+                "there is no ring to take a snapshot of: start the node with recording.mode = 'ring' and a "
+                "recording.path"
+            )
+        return self._ring.cut()
+
+    def write(self, excerpt: Excerpt) -> Path:
+        """Make a recording of an excerpt, the first free of path, path_2, ...; returns where.
+
+        Takes as long as the disk does. Raises GearboxError if it can't be written.
+        """
+        return excerpt.write(_free(self._require_path()), self._epoch_ns, self._node)
+
+    def _require_path(self) -> Path:
+        if self._path is None:
+            raise GearboxError("recording.path is empty: start the node with a path to record to")
+        return self._path
 
 
 def _free(path: Path) -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 from gear_dynamics_ros import checkpoints, model_info
@@ -16,6 +16,7 @@ from gear_dynamics_ros.live import Live
 from gear_dynamics_ros.messages import Encoder, Record
 from gear_dynamics_ros.pacing import Pace
 from gear_dynamics_ros.parameters import Parameters, differences
+from gear_dynamics_ros.recording.ring import Excerpt
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.recordings import Recordings
 from gear_dynamics_ros.run import PAUSE, RESUME, Run, Sink
@@ -45,13 +46,15 @@ class Session:
         self._ended = ended
         self._encoder = Encoder(parameters, self.epoch_ns)
         self._run = Run(engine, self._encoder, [*sinks, self.condition], duration=parameters.pacing.duration)
-        self.recordings = Recordings(parameters.recording.path, self._run, self.epoch_ns, node)
+        self.recordings = Recordings(self._run, self.epoch_ns, node)
         self.live = Live(self._run, mailbox, self._clock, self._run_ended)
         self._clock_ns = round(1e9 / parameters.clock_rate) if parameters.clock_rate > 0.0 else 0
         self._next_clock_ns = 0
         self._started = False
         self._cut_recording = False  # the end of the run, and not the operator, ended the recording
-        self.recorder_errors: list[str] = []  # of recordings that are closed
+        self.recorder_errors: list[str] = []  # of recordings that are closed or never began
+        self.snapshot_path = ""  # of the last one written
+        self._snapshots = ThreadPoolExecutor(max_workers=1, thread_name_prefix="snapshot")
 
     @property
     def parameters(self) -> Parameters:
@@ -86,6 +89,7 @@ class Session:
     def finish(self, reason: str) -> None:
         """End the run and close every sink."""
         self.live.stop()
+        self._snapshots.shutdown()
         recorder = self.recordings.current
         try:
             self._run.finish(reason)
@@ -94,6 +98,20 @@ class Session:
                 self._run.close()
             finally:
                 self._note_errors(recorder)
+
+    def begin_recording(self, *, beside: bool) -> str:
+        """Record, or arm the ring, as the parameters want; returns what was done, in words.
+
+        A recording that can't begin leaves the run without one: ``recorder_errors`` then says why.
+        """
+        if self.parameters.recording.mode == "ring":
+            self.recordings.arm()
+            return f"keeping the last {self.parameters.recording.ring_duration:g} s in memory"
+        try:
+            return f"recording to {self.recordings.begin(beside=beside)}"
+        except GearboxError as error:
+            self.recorder_errors.append(str(error))
+            return f"not recorded: {error}"
 
     def change(self, parameters: Parameters) -> None:
         """Go on with ``parameters`` from the next chunk edge on. Raises UsageError where one is fixed."""
@@ -150,6 +168,11 @@ class Session:
             raise GearboxError(recorder.error)
         return f"recorded {recorder.path}"
 
+    def snapshot(self) -> Future[Path]:
+        """Make a recording of what the ring holds; the future gets its path."""
+        excerpt = self.live.call(self.recordings.cut)
+        return self._snapshots.submit(self._write, excerpt)
+
     def save_checkpoint(self) -> str:
         """Write the state of this moment to ``checkpoint.path``."""
         path = self._checkpoint_path()
@@ -178,18 +201,16 @@ class Session:
             self.live.restart(begin)
             self.condition.clear(self._run.engine.mesh_loss)
             record_anew, self._cut_recording = self._cut_recording, False
-            return self._record_anew() if record_anew else ""
+            return f", {self.begin_recording(beside=True)}" if record_anew else ""
 
         more = self.live.call(restart)
         self._tell()
         return more
 
-    def _record_anew(self) -> str:
-        try:
-            return f", recording to {self.recordings.begin(beside=True)}"
-        except GearboxError as error:
-            self.recorder_errors.append(str(error))
-            return f", but not recorded: {error}"
+    def _write(self, excerpt: Excerpt) -> Path:
+        path = self.recordings.write(excerpt)
+        self.snapshot_path = str(path)
+        return path
 
     def _checkpoint_path(self) -> Path:
         path = self.parameters.checkpoint.path
@@ -210,12 +231,21 @@ class Session:
 
     def _run_ended(self) -> None:
         if not self.completed:
-            recorder = self.recordings.end()
-            if recorder is not None:
-                self._cut_recording = True
-                recorder.close()
-                self._note_errors(recorder)
+            self._keep_the_fault()
         self._ended(self)
+
+    def _keep_the_fault(self) -> None:
+        """Finish the recording of a run that ended by a fault; write what the ring holds of it."""
+        recorder = self.recordings.end()
+        if recorder is not None:
+            self._cut_recording = True
+            recorder.close()
+            self._note_errors(recorder)
+        if self.recordings.ring is not None:
+            try:
+                self._write(self.recordings.cut())
+            except GearboxError as error:
+                self.recorder_errors.append(str(error))
 
     def _note_errors(self, recorder: Recorder | None) -> None:
         if recorder is not None and recorder.error is not None:

@@ -59,7 +59,7 @@ def commanded(path: Path, parameters: Parameters, recorded_as: Parameters | None
     """A run with commands and a reset; the recording may claim other parameters than it was made with."""
     engine = Engine(parameters)
     recorder = Recorder(path, recorded_as or parameters, engine.checkpoint(), 1_000_000_000)
-    run = Run(engine, Encoder(parameters, 1_000_000_000), [RecorderSink(recorder)])
+    run = Run(engine, Encoder(parameters, 1_000_000_000), [RecorderSink(recorder, engine)])
     run.step()
     run.step(Commands(30.0, 55.0, 1700.0))
     run.step()
@@ -92,7 +92,7 @@ def perform(path: Path, deeds: Sequence[Any], parameters: Parameters) -> Path:
     """Recording of a run in which ``deeds`` were done between its chunks, and one chunk more."""
     engine = Engine(parameters)
     recorder = Recorder(path, parameters, engine.checkpoint(), 0)
-    run = Run(engine, Encoder(parameters, 0), [RecorderSink(recorder)])
+    run = Run(engine, Encoder(parameters, 0), [RecorderSink(recorder, engine)])
     saved = (run.engine.parameters, run.checkpoint())
     commands = None
     for deed in deeds:

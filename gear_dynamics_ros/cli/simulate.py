@@ -80,7 +80,9 @@ def simulate(arguments: argparse.Namespace) -> int:
     warm_up(parameters, lambda line: print(f"simulate: {line}", file=sys.stderr))
     engine = Engine(parameters) if saved is None else resumed(saved, parameters)
     recorder = Recorder(arguments.output, parameters, engine.checkpoint(), EPOCH_NS)
-    run = Run(engine, Encoder(parameters, EPOCH_NS), [StrictRecorderSink(recorder)], duration=duration)
+    run = Run(
+        engine, Encoder(parameters, EPOCH_NS), [StrictRecorderSink(recorder, engine)], duration=duration
+    )
     interval = parameters.solver.sample_interval_ns / 1e9
     try:
         run.step()  # opens the files, which is not part of the pace told below

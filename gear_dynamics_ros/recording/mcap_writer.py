@@ -46,12 +46,13 @@ class McapWriter:
     """
 
     def __init__(self, path: Path, library: str) -> None:
+        self._path = path
         self._file = path.open("xb", buffering=0)
+        self._identity = _identity(os.fstat(self._file.fileno()))
         self.survey = Survey(complete=False)
         self._pending = bytearray()
-        self._positions: dict[
-            int, list[int]
-        ] = {}  # channel -> time, offset, time, offset ... in the open chunk
+        # Channel -> time, offset, time, offset ... in the open chunk.
+        self._positions: dict[int, list[int]] = {}
         self._earliest = self._latest = 0
         self._synced = 0
         self._compressor = zstandard.ZstdCompressor(level=_LEVEL)
@@ -145,12 +146,25 @@ class McapWriter:
         self._pending.clear()
         self._positions.clear()
 
-    def abandon_chunk(self) -> None:
-        """After a failed write: forget the open chunk and cut off the piece of a record."""
+    @property
+    def in_place(self) -> bool:
+        """Whether the file still is where it was made: one that was removed takes bytes and keeps none."""
+        try:
+            return _identity(os.stat(self._path)) == self._identity
+        except OSError:
+            return False
+
+    def abandon_chunk(self) -> int:
+        """After a failed write: forget the open chunk and cut off the piece of a record.
+
+        Returns the number of messages in the chunk.
+        """
+        messages = sum(map(len, self._positions.values())) // 2
         self._pending.clear()
         self._positions.clear()
         self._file.truncate(self.survey.end)
         self._file.seek(self.survey.end)
+        return messages
 
     def finish(self) -> None:
         """Write the open chunk, the indexes and the summary, down to the disk."""
@@ -185,6 +199,10 @@ class McapWriter:
         offset = self.survey.end
         self.survey.end += len(data)
         return offset
+
+
+def _identity(status: os.stat_result) -> tuple[int, int]:
+    return status.st_dev, status.st_ino
 
 
 def _message_index(channel: int, flat: list[int]) -> bytes:

@@ -1,12 +1,13 @@
 """Recorder: messages into a rosbag2 folder of MCAP files, on a thread of its own.
 
 It never overwrites, never drops and never raises into the thread that hands over: a slow disk holds that
-thread back, a full one sets ``error``.
+thread back, a full or missing one sets ``error``.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import os
 import threading
 import time
@@ -15,10 +16,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from gear_dynamics_ros import __version__
-from gear_dynamics_ros.engine import kernel_hash
+from gear_dynamics_ros import __version__, checkpoints
 from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.files import replace_text, sync_folder
 from gear_dynamics_ros.messages import TOPICS, Record, Topic, resolve
+from gear_dynamics_ros.origin import present
 from gear_dynamics_ros.parameters import Parameters, dump
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.layout import Part, RunMetadata
@@ -39,13 +41,32 @@ class Stats(NamedTuple):
     queued: int  # messages handed over, not yet written
     queued_bytes: int
     messages: int  # messages written
+    flushed: int  # of them on the disk, where no crash takes them
     bytes: int  # size of all files
-    lost: int  # messages handed over after an error, or queued when it came
+    parts: int
+    lost: int  # messages handed over after an error, or on their way to the disk when it came
+    free_bytes: int  # on the disk when last looked at
+    seconds_left: float  # of wall time, until recording.minimum_free is reached at the pace of late
+
+
+class State(NamedTuple):
+    """A state of the gearbox between two samples, and the parameters in force there."""
+
+    checkpoint: Mapping[str, Any]  # as ``Engine.checkpoint`` makes it
+    parameters: Parameters
 
 
 class _Split(NamedTuple):
-    start: Mapping[str, Any]
-    parameters: str
+    start: State
+
+
+class _Checkpoint(NamedTuple):
+    name: str  # of the attachment
+    state: State
+
+
+class _StoppedError(Exception):
+    """Why no more can be recorded, and what to do, in words."""
 
 
 class Recorder:
@@ -53,7 +74,8 @@ class Recorder:
 
     ``parameters`` are those in force there.
 
-    Raises UsageError if ``path`` exists or can't be made, GearboxError if the first file can't be written.
+    Raises UsageError if ``path`` exists or can't be made, GearboxError if the first file can't be opened or
+    less than ``recording.minimum_free`` is free there.
     """
 
     def __init__(
@@ -65,8 +87,12 @@ class Recorder:
         node: str = "/gearbox",
     ) -> None:
         self.path = Path(os.path.abspath(path))
+        origin = present()
         self._run = RunMetadata(
-            __version__, kernel_hash(), epoch_ns, node, parameters.solver.sample_interval_ns
+            epoch_ns=epoch_ns,
+            node=node,
+            sample_interval_ns=parameters.solver.sample_interval_ns,
+            **origin._asdict(),
         )
         self._topics = {key: (resolve(topic, node), topic) for key, topic in TOPICS.items()}
         self._sequences: Counter[str] = Counter()
@@ -74,24 +100,26 @@ class Recorder:
         self._error: str | None = None
         self._parts: list[Part] = []
         self._written = 0
+        self._flushed = 0
         self._lost = 0
         self._earlier_bytes = 0
-        self._queue: deque[Sequence[Record] | _Split] = deque()
+        self._queue: deque[Sequence[Record] | _Split | _Checkpoint] = deque()
         self._queued = 0
         self._queued_bytes = 0
+        self._splits = 0  # that wait in the queue
         self._closing = False
         self._finished = False
         self._changed = threading.Condition()
         _make_folder(self.path)
         try:
-            self._part = self._open_part(start, dump(parameters))
-        except OSError as error:
+            self._disk = _Disk(self.path, parameters.recording.minimum_free)
+            self._part = self._new_part()
+        except (OSError, _StoppedError) as error:
             self.path.rmdir()
-            raise GearboxError(
-                f"recording.path: can't write in '{self.path}': {error.strerror}: "
-                "free space or choose another path"
-            ) from error
-        self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
+            raise GearboxError(f"recording.path: can't write in '{self.path}': {_reason(error)}") from error
+        self._thread = threading.Thread(
+            target=self._work, args=(State(start, parameters),), name="recorder", daemon=True
+        )
         self._thread.start()
 
     @property
@@ -107,9 +135,19 @@ class Recorder:
                 self._queued,
                 self._queued_bytes,
                 self._written,
+                self._flushed,
                 self._earlier_bytes + self._part.size,
+                len(self._parts) + (not self._part.finished),
                 self._lost,
+                self._disk.free_bytes,
+                self._disk.seconds_left,
             )
+
+    @property
+    def part_bytes(self) -> int:
+        """Size of the file being written; 0 while a split waits."""
+        with self._changed:
+            return 0 if self._splits else self._part.size
 
     def write(self, records: Sequence[Record]) -> None:
         """Hand over messages, in order; waits while the queue is full."""
@@ -120,7 +158,16 @@ class Recorder:
 
         ``parameters`` are those in force there.
         """
-        self._put(_Split(start, dump(parameters)), 0, 0)
+        self._put(_Split(State(start, parameters)), 0, 0)
+
+    def checkpoint(self, checkpoint: Mapping[str, Any], parameters: Parameters) -> None:
+        """Keep the state right after the last chunk handed over, so that a replay may begin there."""
+        name = layout.checkpoint_name(int(checkpoint["sample"]))
+        self._put(_Checkpoint(name, State(checkpoint, parameters)), 0, 0)
+
+    def conclude(self, checkpoint: Mapping[str, Any], parameters: Parameters) -> None:
+        """Keep the state in which the recording ends; nothing but ``close`` follows."""
+        self._put(_Checkpoint(layout.END_ATTACHMENT, State(checkpoint, parameters)), 0, 0)
 
     def close(self) -> None:
         """Write what is queued, finish the file and metadata.yaml. A second call does nothing."""
@@ -131,7 +178,7 @@ class Recorder:
         if not self._finished:
             self._salvage()
 
-    def _put(self, item: Sequence[Record] | _Split, messages: int, size: int) -> None:
+    def _put(self, item: Sequence[Record] | _Split | _Checkpoint, messages: int, size: int) -> None:
         with self._changed:
             self._changed.wait_for(lambda: self._queued_bytes < QUEUE_BYTES or self._stopped)
             if self._stopped:
@@ -140,17 +187,19 @@ class Recorder:
             self._queue.append(item)
             self._queued += messages
             self._queued_bytes += size
+            self._splits += isinstance(item, _Split)
             self._changed.notify_all()
 
     @property
     def _stopped(self) -> bool:
         return self._closing or self._error is not None
 
-    def _work(self) -> None:
+    def _work(self, start: State) -> None:
         name_thread()
         try:
+            self._begin(start)
             self._write_all()
-            self._parts.append(self._part.finish())
+            self._finish_part()
             self._write_metadata()
             self._finished = True
         except Exception as error:
@@ -158,12 +207,24 @@ class Recorder:
             self._fail(error)
             self._salvage()
 
+    def _begin(self, start: State) -> None:
+        try:
+            self._part.begin(self._run, start)
+        except OSError:
+            self._part.discard()
+            self.path.rmdir()
+            raise
+        sync_folder(self.path)
+        sync_folder(self.path.parent)
+
     def _write_all(self) -> None:
         flush_at = time.monotonic() + FLUSH_SECONDS
         while True:
             item = self._next(flush_at)
             if isinstance(item, _Split):
-                self._next_part(item)
+                self._next_part(item.start)
+            elif isinstance(item, _Checkpoint):
+                self._part.add_checkpoint(item.name, item.state, self._time_ns(item.state))
             elif item:
                 for record in item:
                     self._write_record(record)
@@ -171,10 +232,10 @@ class Recorder:
             elif self._closing and not self._queue:
                 return
             if time.monotonic() >= flush_at:
-                self._part.flush()
+                self._flush()
                 flush_at = time.monotonic() + FLUSH_SECONDS
 
-    def _next(self, until: float) -> Sequence[Record] | _Split | None:
+    def _next(self, until: float) -> Sequence[Record] | _Split | _Checkpoint | None:
         """What was handed over next; None at the time ``until`` or when closing."""
         with self._changed:
             self._changed.wait_for(
@@ -195,43 +256,46 @@ class Recorder:
         self._part.write(record, self._sequences[record.topic])
         self._sequences[record.topic] += 1
 
-    def _open_part(self, start: Mapping[str, Any], parameters: str) -> _PartWriter:
-        part = _PartWriter(self.path / layout.part_name(self.path, len(self._parts)), self._topics)
+    def _flush(self) -> None:
+        self._part.flush()
+        self._flushed = self._written
+        self._part.require_in_place()
+        self._disk.watch(self._earlier_bytes + self._part.size)
+
+    def _new_part(self) -> _PartWriter:
+        return _PartWriter(self.path / layout.part_name(self.path, len(self._parts)), self._topics)
+
+    def _finish_part(self) -> None:
+        self._part.require_in_place()
+        self._parts.append(self._part.finish())
+        self._flushed = self._written
+
+    def _next_part(self, start: State) -> None:
+        self._finish_part()
+        part = self._new_part()
         try:
-            part.begin(self._run, parameters, json.dumps(start))
+            part.begin(self._run, start)
         except OSError:
             part.discard()
             raise
-        return part
-
-    def _next_part(self, split: _Split) -> None:
-        self._parts.append(self._part.finish())
-        part = self._open_part(split.start, split.parameters)
         with self._changed:
             self._earlier_bytes += self._part.size
             self._part = part
-        time_ns = self._run.epoch_ns + int(split.start["sample"]) * self._run.sample_interval_ns
+            self._splits -= 1
+        sync_folder(self.path)
         for key, data in self._latched.items():
-            self._write_record(Record(key, time_ns, data))
+            self._write_record(Record(key, self._time_ns(start), data))
+
+    def _time_ns(self, state: State) -> int:
+        return self._run.epoch_ns + int(state.checkpoint["sample"]) * self._run.sample_interval_ns
 
     def _write_metadata(self) -> None:
         text = layout.metadata_yaml(dict(self._topics.values()), self._parts)
-        draft = self.path / f"{layout.METADATA_FILE}.part"
-        with draft.open("w", encoding="utf-8") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        draft.replace(self.path / layout.METADATA_FILE)
+        replace_text(self.path / layout.METADATA_FILE, text)
 
     def _fail(self, error: Exception) -> None:
-        reason = (
-            error.strerror if isinstance(error, OSError) and error.strerror else str(error) or repr(error)
-        )
         with self._changed:
-            self._error = (
-                f"recording '{self.path}' stopped: {reason}: what was written stays readable; "
-                "free space and start a new recording"
-            )
+            self._error = f"recording '{self.path}' stopped: {_reason(error)}"
             self._lost += self._queued
             self._queue.clear()
             self._queued = self._queued_bytes = 0
@@ -240,12 +304,45 @@ class Recorder:
     def _salvage(self) -> None:
         """Finish, as far as the disk allows, the file that broke off."""
         try:
+            self._part.require_in_place()
             if not self._part.finished:
-                self._parts.append(self._part.salvage())
+                part, abandoned = self._part.salvage()
+                self._parts.append(part)
+                self._lost += abandoned
             self._write_metadata()
             self._finished = True
-        except OSError:
+        except (OSError, _StoppedError):
             self._finished = False
+
+
+class _Disk:
+    """Watches the room that is left where a recording lies.
+
+    Raises _StoppedError where it is less than ``minimum`` bytes.
+    """
+
+    def __init__(self, path: Path, minimum: int) -> None:
+        self._path = path
+        self._minimum = minimum
+        self._looked_at = time.monotonic()
+        self._bytes = 0
+        self.free_bytes = 0
+        self.seconds_left = math.inf
+        self.watch(0)
+
+    def watch(self, written: int) -> None:
+        """Look, ``written`` bytes being written by now."""
+        now = time.monotonic()
+        volume = os.statvfs(self._path)
+        self.free_bytes = volume.f_bavail * volume.f_frsize
+        pace = (written - self._bytes) / (now - self._looked_at) if written > self._bytes else 0.0
+        self.seconds_left = max(0, self.free_bytes - self._minimum) / pace if pace else math.inf
+        self._bytes, self._looked_at = written, now
+        if self.free_bytes < self._minimum:
+            raise _StoppedError(
+                f"only {self.free_bytes / 1e6:.1f} MB are free there, less than recording.minimum_free = "
+                f"{self._minimum / 1e6:g} MB: free space and start a new recording"
+            )
 
 
 class _PartWriter:
@@ -263,13 +360,11 @@ class _PartWriter:
         """Bytes in the file."""
         return self._mcap.survey.end
 
-    def begin(self, run: RunMetadata, parameters: str, start: str) -> None:
+    def begin(self, run: RunMetadata, start: State) -> None:
         """Attachments and channels: whatever a reader needs before the first message."""
         self._mcap.add_metadata(layout.RUN_METADATA, run.to_text())
-        self._mcap.add_attachment(
-            run.epoch_ns, layout.PARAMETERS_ATTACHMENT, "application/yaml", parameters.encode()
-        )
-        self._mcap.add_attachment(run.epoch_ns, layout.START_ATTACHMENT, "application/json", start.encode())
+        self._attach(run.epoch_ns, layout.PARAMETERS_ATTACHMENT, "yaml", dump(start.parameters))
+        self._attach(run.epoch_ns, layout.START_ATTACHMENT, "json", json.dumps(start.checkpoint))
         for key, (name, topic) in self._topics.items():
             self._channels[key] = self._mcap.add_channel(
                 name, topic.type, layout.schema(topic.type), layout.channel_metadata(topic)
@@ -280,10 +375,23 @@ class _PartWriter:
         """Add a message."""
         self._mcap.add_message(self._channels[record.topic], sequence, record.time_ns, record.data)
 
+    def add_checkpoint(self, name: str, state: State, time_ns: int) -> None:
+        """Attach a state, behind all messages before it."""
+        self._mcap.end_chunk()
+        saved = checkpoints.of_this_version(state.parameters, dict(state.checkpoint))
+        self._attach(time_ns, name, "json", checkpoints.to_text(saved))
+
     def flush(self) -> None:
         """Bring every message to the disk."""
         self._mcap.end_chunk()
         self._mcap.sync()
+
+    def require_in_place(self) -> None:
+        """Raise _StoppedError if the file is no longer where it was made: writing to it would help nobody."""
+        if not self._mcap.in_place:
+            raise _StoppedError(
+                f"'{self._path.name}' has gone from its folder: put it back, or start a new recording"
+            )
 
     def finish(self) -> Part:
         """Complete the file."""
@@ -296,22 +404,34 @@ class _PartWriter:
         self.finished = True
         return part
 
-    def salvage(self) -> Part:
-        """Complete the file with what was written whole, after a write failed."""
-        self._mcap.abandon_chunk()
+    def salvage(self) -> tuple[Part, int]:
+        """Complete the file with what was written whole, after a write failed; how many messages were not."""
+        abandoned = self._mcap.abandon_chunk()
         self._mcap.finish()
         self._mcap.close()
         self.finished = True
-        return self._part()
+        return self._part(), abandoned
 
     def discard(self) -> None:
         """Remove the file again."""
         self._mcap.close()
         self._path.unlink()
 
+    def _attach(self, time_ns: int, name: str, kind: str, text: str) -> None:
+        self._mcap.add_attachment(time_ns, name, f"application/{kind}", text.encode())
+
     def _part(self) -> Part:
         found = self._mcap.survey
         return Part(self._path.name, found.start_ns, found.end_ns, found.topic_counts())
+
+
+def _reason(error: Exception) -> str:
+    """What went wrong and what to do, in words."""
+    if isinstance(error, _StoppedError):
+        return str(error)
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.strerror}: what was written stays readable; free space or choose another path"
+    return f"{str(error) or repr(error)}: what was written stays readable; start a new recording"
 
 
 def _make_folder(path: Path) -> None:

@@ -1,0 +1,106 @@
+"""The last seconds of a run in memory, ready to become a recording."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.messages import TOPICS, Record
+from gear_dynamics_ros.recording.writer import Recorder, State
+from gear_dynamics_ros.signals import Chunk
+
+# The ring forgets a segment at a time: it holds at most an eighth more than it must.
+SEGMENTS: Final = 8
+
+
+@dataclass(slots=True)
+class _Segment:
+    """Messages from a state on; ``latched`` are those of latched topics that came last before it."""
+
+    start: State
+    latched: Mapping[str, bytes]
+    records: list[Record] = field(default_factory=list)
+    size: int = 0  # bytes
+
+    @property
+    def sample(self) -> int:
+        return int(self.start.checkpoint["sample"])
+
+
+class Excerpt(NamedTuple):
+    """A piece of a run, complete in itself."""
+
+    segments: tuple[_Segment, ...]
+    end: State
+
+    def write(self, path: Path, epoch_ns: int, node: str) -> Path:
+        """Make a recording of it. Raises GearboxError if it can't be written whole."""
+        first = self.segments[0]
+        parameters = first.start.parameters
+        recorder = Recorder(path, parameters, first.start.checkpoint, epoch_ns, node)
+        time_ns = epoch_ns + first.sample * parameters.solver.sample_interval_ns
+        recorder.write([Record(key, time_ns, data) for key, data in first.latched.items()])
+        for segment in self.segments:
+            if segment is not first:
+                recorder.checkpoint(*segment.start)
+            recorder.write(segment.records)
+        recorder.conclude(*self.end)
+        recorder.close()
+        if recorder.error is not None:
+            raise GearboxError(recorder.error)
+        return recorder.path
+
+
+class Ring:
+    """A sink that keeps at least the last ``recording.ring_duration`` of simulated time."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        solver = engine.parameters.solver
+        self._samples = round(engine.parameters.recording.ring_duration * 1e9 / solver.sample_interval_ns)
+        self._latched: dict[str, bytes] = {}
+        self._segments: deque[_Segment] = deque()
+        self._begin_segment()
+
+    @property
+    def samples(self) -> int:
+        """Samples that the ring holds."""
+        return self._engine.sample - self._segments[0].sample
+
+    @property
+    def size(self) -> int:
+        """Bytes of its messages."""
+        return sum(segment.size for segment in self._segments)
+
+    def write(self, chunk: Chunk | None, records: Sequence[Record]) -> None:
+        """Keep the messages, and forget those that are too old."""
+        segment = self._segments[-1]
+        segment.records.extend(records)
+        segment.size += sum(len(record.data) for record in records)
+        for record in records:
+            if TOPICS[record.topic].latched:
+                self._latched[record.topic] = record.data
+        if chunk is not None and (self._engine.sample - segment.sample) * SEGMENTS >= self._samples:
+            self._begin_segment()
+            while len(self._segments) > 1 and self._engine.sample - self._segments[1].sample >= self._samples:
+                self._segments.popleft()
+
+    def close(self) -> None:
+        """What nobody asked for is forgotten."""
+        self._segments.clear()
+
+    def cut(self) -> Excerpt:
+        """All that the ring holds now; it goes on."""
+        *earlier, last = self._segments
+        return Excerpt((*earlier, _Segment(last.start, last.latched, list(last.records))), self._state())
+
+    def _begin_segment(self) -> None:
+        self._segments.append(_Segment(self._state(), dict(self._latched)))
+
+    def _state(self) -> State:
+        return State(self._engine.checkpoint(), self._engine.parameters)
