@@ -143,6 +143,26 @@ TOPICS: Final[dict[str, Topic]] = {
 }
 
 
+# What the encoder makes of a chunk, in that order; impacts only where some ended.
+OF_A_CHUNK: Final = (
+    "joint_states",
+    "dte",
+    "mesh_force",
+    "pressure_angle",
+    "driving_bearing_force",
+    "driven_bearing_force",
+    "meshing_state",
+    "energy",
+    "impacts",
+    "waveform",
+)
+
+
+def is_rows(topic: str) -> bool:
+    """Whether the messages of the topic (key in TOPICS) are laid out like the waveform."""
+    return TOPICS[topic].type == ARRAY
+
+
 def resolve(topic: Topic, node: str = "/gearbox") -> str:
     """Full name of a topic for the node with the full name ``node``."""
     if topic.name.startswith("~/"):

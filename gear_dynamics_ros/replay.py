@@ -1,91 +1,247 @@
-"""Re-simulate a recording from its start state with all that was done, and compare every sample's bits."""
+"""Re-simulate a recording with all that was done to it, and compare every bit that a run makes.
+
+A recording is cut at its checkpoints into stretches, run side by side. Nothing stored is taken on trust: each
+stretch must arrive at exactly the state, and the parameters, from which the next one starts.
+"""
 
 from __future__ import annotations
 
+import json
+import os
 import time
 from collections import deque
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from itertools import pairwise
+from threading import Event as Flag
+from threading import Lock
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gear_dynamics_ros import __version__
-from gear_dynamics_ros.engine import Engine, kernel_hash
-from gear_dynamics_ros.parameters import updated
-from gear_dynamics_ros.recording.reader import Event, Recording
+from gear_dynamics_ros import checkpoints, origin
+from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.messages import Encoder, RowReader, is_rows
+from gear_dynamics_ros.origin import Origin
+from gear_dynamics_ros.parameters import Parameters, differences, parse, updated
+from gear_dynamics_ros.recording.reader import Event, RecordedChunk, Recording
 from gear_dynamics_ros.run import CHANGE, RESET, RESTORE
-from gear_dynamics_ros.signals import COLUMN, Commands
+from gear_dynamics_ros.signals import Commands, Status
+
+# Stretches for each processor: when one is done early, there is another.
+SHARES: Final = 4
+
+Action: TypeAlias = tuple[int, Event | Commands]
 
 
 class Difference(NamedTuple):
-    """The first value that came out otherwise; ``simulated`` is None where the run ended before."""
+    """The first value that came out otherwise; None where there is none on that side."""
 
     sample: int
-    channel: str
-    recorded: float
-    simulated: float | None
+    what: str  # channel, topic and entry, or entry of a state
+    recorded: object
+    simulated: object
+
+    def __str__(self) -> str:
+        return f"sample {self.sample}, {self.what}: recorded {self.recorded!r}, now {self.simulated!r}"
 
 
 class Verification(NamedTuple):
     """What a re-simulation found."""
 
     samples: int  # compared
+    messages: int  # compared
+    states: int  # compared
     simulated: float  # s
     elapsed: float  # s of wall time, compilation included
     difference: Difference | None
 
 
-def verify(recording: Recording, progress: Callable[[int], None] | None = None) -> Verification:
-    """Run the model again from the recording's start state.
+class _State(NamedTuple):
+    """A stored state, and the parameters in force there."""
 
-    Its commands, changes of parameters, restored checkpoints and resets act at their samples.
+    checkpoint: Mapping[str, Any]
+    parameters: Parameters
 
+
+class _Leg(NamedTuple):
+    """The way from one stored state to the next."""
+
+    part: int
+    first: int  # sample
+    start: Callable[[], _State]
+    actions: Sequence[Action]
+    end: int | None  # sample before which the next leg begins in the same part
+    goal: Callable[[], _State] | None  # None where the recording broke off
+
+
+class _Tally(NamedTuple):
+    samples: int = 0
+    messages: int = 0
+    states: int = 0
+    difference: Difference | None = None
+
+
+def verify(
+    recording: Recording,
+    start: float | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Verification:
+    """Run the model again from the recording's start, or from the last state stored before ``start`` s.
+
+    Commands, changes of parameters, restored checkpoints and resets act at their samples. Every message that
+    a chunk makes, the waveform above all, and every stored state on the way must come out to the same bytes.
     ``progress`` is called with the number of samples compared so far.
+
+    Raises UsageError if the recording does not hold ``start``, GearboxError where it can't be read on.
     """
     began = time.perf_counter()
-    engine = Engine(recording.parameters)
-    engine.restore(recording.start)
-    actions = _actions(recording)
-    columns = [COLUMN[name] for name in recording.channel_names]
-    compared = 0
-    difference = None
-    for first, recorded in recording.chunks():
-        _act(engine, actions, first)
-        chunk = (
-            engine.advance(len(recorded)).samples if engine.sample == first and not engine.status else None
-        )
-        simulated = None if chunk is None else chunk[:, columns]
-        difference = _first_difference(first, recorded, simulated, recording.channel_names)
-        if difference is not None:
-            break
-        compared += len(recorded)
-        if progress is not None:
-            progress(compared)
-    simulated_time = compared * recording.sample_interval_ns / 1e9
-    return Verification(compared, simulated_time, time.perf_counter() - began, difference)
+    legs = _legs_from(list(_legs(recording)), recording, start)
+    stop = Flag()
+    count = _Counter(progress)
+    found = _Tally()
+    processors = len(os.sched_getaffinity(0))
+    # The kernel works without Python's lock: threads share the processors and all that is loaded.
+    with ThreadPoolExecutor(processors, thread_name_prefix="verify") as workers:
+        futures = [
+            workers.submit(_run, recording, stretch, stop, count)
+            for stretch in _stretches(legs, processors * SHARES)
+        ]
+        try:
+            for future in futures:
+                found = _sum(found, future.result())
+                if found.difference is not None:
+                    break
+        finally:
+            stop.set()
+    simulated = found.samples * recording.sample_interval_ns / 1e9
+    elapsed = time.perf_counter() - began
+    return Verification(found.samples, found.messages, found.states, simulated, elapsed, found.difference)
 
 
 def origins(recording: Recording) -> list[str]:
-    """What of the program differs between the recording and this installation, one line each."""
-    pairs = (
-        ("version", recording.version, __version__),
-        ("kernel hash", recording.kernel_hash, kernel_hash()),
-    )
-    return [f"{name}: recorded by {theirs}, this is {ours}" for name, theirs, ours in pairs if theirs != ours]
+    """What of the program and the machine differs between the recording and this process, a line each."""
+    run = recording.run._asdict()
+    return origin.differences(Origin(**{name: run[name] for name in Origin._fields}))
 
 
-def _actions(recording: Recording) -> deque[tuple[int, Event | Commands]]:
-    """Events in their order and commands, by sample; commands come after the events of their sample."""
-    start = int(recording.start["sample"])
-    actions: list[tuple[int, Event | Commands]] = [(event.sample, event) for event in recording.events]
-    actions.extend(recording.commands)
-    # What a part repeats from the one before it is in its start state already.
-    return deque(sorted((action for action in actions if action[0] >= start), key=lambda action: action[0]))
+class _Counter:
+    """Adds up what several threads have compared."""
+
+    def __init__(self, tell: Callable[[int], None] | None) -> None:
+        self._tell = tell
+        self._lock = Lock()
+        self._samples = 0
+
+    def add(self, samples: int) -> None:
+        """So many more."""
+        with self._lock:
+            self._samples += samples
+            if self._tell is not None:
+                self._tell(self._samples)
 
 
-def _act(engine: Engine, actions: deque[tuple[int, Event | Commands]], sample: int) -> None:
-    while actions and actions[0][0] <= sample:
+def _legs(recording: Recording) -> Iterator[_Leg]:
+    """The whole recording, leg by leg."""
+    parts = recording.parts
+    for number, part in enumerate(parts):
+        actions = recording.actions(number)
+        states = {part.first_sample: partial(_part_start, recording, number)}
+        for sample, name in part.checkpoints.items():
+            states[sample] = partial(_attached, recording, number, name)
+        for first, end in pairwise(states):
+            within = [action for action in actions if first <= action[0] < end]
+            yield _Leg(number, first, states[first], within, end, states[end])
+        last = max(states)
+        behind = [action for action in actions if action[0] >= last]
+        yield _Leg(number, last, states[last], behind, None, _goal(recording, number))
+
+
+def _goal(recording: Recording, number: int) -> Callable[[], _State] | None:
+    """The state at the end of a part: from which the next one starts, or in which the recording ended."""
+    if number + 1 < len(recording.parts):
+        return partial(_part_start, recording, number + 1)
+    end = recording.parts[number].end
+    return partial(_attached, recording, number, end) if end else None
+
+
+def _part_start(recording: Recording, number: int) -> _State:
+    part = recording.parts[number]
+    return _State(part.start, parse(part.parameters))
+
+
+def _attached(recording: Recording, number: int, name: str) -> _State:
+    part = recording.parts[number]
+    try:
+        saved = checkpoints.from_text(part.attachment(name).decode(), f"{part.path.name}: {name}")
+    except (UnicodeDecodeError, UsageError) as error:
+        raise GearboxError(str(error)) from error
+    return _State(saved.checkpoint, saved.parameters)
+
+
+def _legs_from(legs: list[_Leg], recording: Recording, start: float | None) -> list[_Leg]:
+    if start is None:
+        return legs
+    interval = recording.sample_interval_ns / 1e9
+    before = [position for position, leg in enumerate(legs) if leg.first * interval <= start]
+    if not before or start > recording.end_sample * interval:
+        raise UsageError(
+            f"--from {start:g} s lies outside the recording: it holds {legs[0].first * interval:g} s to "
+            f"{recording.end_sample * interval:g} s"
+        )
+    return legs[before[-1] :]
+
+
+def _stretches(legs: Sequence[_Leg], most: int) -> list[list[_Leg]]:
+    """The legs in order, gathered into at most ``most`` stretches of about the same length."""
+    first, last = legs[0].first, legs[-1].first
+    stretches: list[list[_Leg]] = [[] for _ in range(most)]
+    for leg in legs:
+        stretches[(leg.first - first) * most // (last - first + 1)].append(leg)
+    return [stretch for stretch in stretches if stretch]
+
+
+def _run(recording: Recording, legs: Sequence[_Leg], stop: Flag, count: _Counter) -> _Tally:
+    """Run a stretch from the state at its start."""
+    start = legs[0].start()
+    engine = Engine(start.parameters)
+    engine.restore(start.checkpoint)
+    encoder = Encoder(start.parameters, recording.epoch_ns)
+    found = _Tally()
+    for leg in legs:
+        found = _sum(found, _run_leg(engine, encoder, recording, leg, stop, count))
+        if found.difference is not None or stop.is_set():
+            break
+    return found
+
+
+def _run_leg(
+    engine: Engine, encoder: Encoder, recording: Recording, leg: _Leg, stop: Flag, count: _Counter
+) -> _Tally:
+    actions = deque(leg.actions)
+    samples = messages = 0
+    for recorded in recording.recorded_chunks(leg.part, leg.first, leg.end):
+        if stop.is_set():
+            return _Tally(samples, messages)
+        _act(engine, actions, recorded.first)
+        difference = _compare_chunk(engine, encoder, recorded)
+        if difference is not None:
+            return _Tally(samples, messages, difference=difference)
+        samples += recorded.samples
+        messages += len(recorded.messages)
+        count.add(recorded.samples)
+    if leg.end is None:
+        _act(engine, actions, None)
+    if leg.goal is None:
+        return _Tally(samples, messages)
+    return _Tally(samples, messages, 1, _compare_state(engine, leg.goal()))
+
+
+def _act(engine: Engine, actions: deque[Action], sample: int | None) -> None:
+    """Let act what came before ``sample`` was made; all that is left if it is None."""
+    while actions and (sample is None or actions[0][0] <= sample):
         _, action = actions.popleft()
         if isinstance(action, Commands):
             engine.command(action)
@@ -97,27 +253,94 @@ def _repeat(engine: Engine, event: Event) -> None:
     if event.kind == RESET:
         engine.reset()
     elif event.kind == CHANGE:
-        engine.change(updated(engine.parameters, event.parameters))
+        try:
+            engine.change(updated(engine.parameters, event.parameters))
+        except UsageError as error:
+            raise GearboxError(
+                f"the change of parameters at sample {event.sample} can't be: {error}"
+            ) from error
     elif event.kind == RESTORE:
         engine.resume(event.checkpoint)
 
 
-def _first_difference(
-    first: int,
-    recorded: NDArray[np.float64],
-    simulated: NDArray[np.float64] | None,
-    channels: tuple[str, ...],
-) -> Difference | None:
-    if simulated is None:
-        return Difference(first, channels[0], float(recorded[0, 0]), None)
-    common = min(len(recorded), len(simulated))
-    bits = np.ascontiguousarray(recorded[:common]).view(np.int64)
-    unlike = bits != np.ascontiguousarray(simulated[:common]).view(np.int64)
-    if unlike.any():
-        row, column = divmod(int(unlike.argmax()), unlike.shape[1])
-        return Difference(
-            first + row, channels[column], float(recorded[row, column]), float(simulated[row, column])
-        )
-    if common < len(recorded):
-        return Difference(first + common, channels[0], float(recorded[common, 0]), None)
+def _compare_chunk(engine: Engine, encoder: Encoder, recorded: RecordedChunk) -> Difference | None:
+    """Make the chunk, and compare its messages."""
+    if engine.sample != recorded.first:
+        return Difference(engine.sample, "waveform", f"nothing before sample {recorded.first}", "samples")
+    try:
+        chunk = engine.advance(recorded.samples)
+    except GearboxError as error:
+        return Difference(recorded.first, "waveform", f"{recorded.samples} samples", f"none: {error}")
+    made = {record.topic: record.data for record in encoder.chunk(chunk)}
+    # The waveform tells more than what is taken from it.
+    for topic in sorted(made.keys() | recorded.messages.keys(), key=lambda topic: topic != "waveform"):
+        difference = _compare_message(recorded, topic, made.get(topic))
+        if difference is not None:
+            return difference
     return None
+
+
+def _compare_message(recorded: RecordedChunk, topic: str, simulated: bytes | None) -> Difference | None:
+    stored = recorded.messages.get(topic)
+    if stored is None or simulated is None:
+        there, missing = "a message", "no message"
+        return Difference(
+            recorded.first, topic, there if stored else missing, there if simulated else missing
+        )
+    theirs = bytes(stored)  # memory views compare byte by byte
+    return None if theirs == simulated else _locate(recorded.first, topic, theirs, simulated)
+
+
+def _locate(first: int, topic: str, recorded: bytes, simulated: bytes) -> Difference:
+    """Where two messages differ."""
+    if is_rows(topic):
+        names, theirs = RowReader().read(recorded)
+        names_now, ours = RowReader().read(simulated)
+        if names != names_now:
+            return Difference(first, topic, names, names_now)
+        common = min(len(theirs), len(ours))
+        unlike = _bits(theirs[:common]) != _bits(ours[:common])
+        if unlike.any():
+            row, column = divmod(int(unlike.argmax()), unlike.shape[1])
+            what = names[column] if topic == "waveform" else f"{topic}: {names[column]}"
+            sample = first + row if topic == "waveform" else first
+            return Difference(sample, what, float(theirs[row, column]), float(ours[row, column]))
+        return Difference(first + common, topic, f"{len(theirs)} rows", f"{len(ours)} rows")
+    byte = next(i for i, (a, b) in enumerate(zip(recorded, simulated, strict=False)) if a != b)
+    return Difference(first, f"{topic}: byte {byte}", recorded[byte:].hex()[:16], simulated[byte:].hex()[:16])
+
+
+def _bits(rows: np.ndarray[Any, np.dtype[np.float64]]) -> np.ndarray[Any, np.dtype[np.int64]]:
+    return np.ascontiguousarray(rows).view(np.int64)
+
+
+def _compare_state(engine: Engine, goal: _State) -> Difference | None:
+    """Compare where the engine has come with what was stored there."""
+    if goal.checkpoint.get("status") != Status.RUNNING and engine.status is Status.RUNNING:
+        # It ended without a sample, in a chunk of which nothing was recorded.
+        engine.advance(1)
+    for name, value in differences(engine.parameters, goal.parameters).items():
+        return Difference(engine.sample, f"parameter {name}", value, engine.parameters.to_flat()[name])
+    stored, reached = _entries(goal.checkpoint), _entries(engine.checkpoint())
+    for name in sorted(stored.keys() | reached.keys()):
+        # The text of a double that JSON keeps is that of no other.
+        if json.dumps(stored.get(name)) != json.dumps(reached.get(name)):
+            return Difference(engine.sample, f"state {name}", stored.get(name), reached.get(name))
+    return None
+
+
+def _entries(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Entries of a mapping of mappings by dotted name."""
+    found: dict[str, Any] = {}
+    for name, value in tree.items():
+        found |= _entries(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
+    return found
+
+
+def _sum(left: _Tally, right: _Tally) -> _Tally:
+    return _Tally(
+        left.samples + right.samples,
+        left.messages + right.messages,
+        left.states + right.states,
+        right.difference,
+    )

@@ -110,10 +110,10 @@ def qos(topic: Topic) -> list[dict[str, Any]]:
             "depth": topic.depth,
             "reliability": "reliable" if topic.reliable else "best_effort",
             "durability": "transient_local" if topic.latched else "volatile",
-            "deadline": _unset(),
-            "lifespan": _unset(),
+            "deadline": _infinite(),
+            "lifespan": _infinite(),
             "liveliness": "automatic",
-            "liveliness_lease_duration": _unset(),
+            "liveliness_lease_duration": _infinite(),
             "avoid_ros_namespace_conventions": False,
         }
     ]
@@ -132,7 +132,6 @@ def bag_information(topics: Mapping[str, Topic], parts: Sequence[Part]) -> dict[
     return {
         "version": 9,
         "storage_identifier": "mcap",
-        "relative_file_paths": [part.name for part in parts],
         **_times(start_ns, end_ns),
         "message_count": sum(part.messages for part in parts),
         "topics_with_message_count": [
@@ -150,6 +149,7 @@ def bag_information(topics: Mapping[str, Topic], parts: Sequence[Part]) -> dict[
         ],
         "compression_format": "",
         "compression_mode": "",
+        "relative_file_paths": [part.name for part in parts],
         "files": [
             {
                 "path": part.name,
@@ -178,9 +178,9 @@ def yaml_text(value: Any) -> str:
     return str(yaml.safe_dump(value, sort_keys=False, default_flow_style=False))
 
 
-def _unset() -> dict[str, int]:
+def _infinite() -> dict[str, int]:
     # a new one each time: PyYAML writes an anchor where one object occurs twice
-    return {"sec": 0, "nsec": 0}
+    return dict(zip(("sec", "nsec"), divmod(2**63 - 1, 10**9), strict=True))
 
 
 def _times(start_ns: int, end_ns: int) -> dict[str, dict[str, int]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +31,7 @@ _MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log time, publish
 class Stored(NamedTuple):
     """A message as it stands in a file."""
 
+    topic: str
     time_ns: int
     data: memoryview  # CDR
 
@@ -57,54 +58,51 @@ class PartFile:
         return int(self.start["sample"])
 
     @property
-    def end(self) -> bool:
-        """Whether the file holds the state in which the recording ended."""
-        return any(index.name == layout.END_ATTACHMENT for index in self.found.attachments)
+    def end(self) -> str:
+        """Name of the attachment with the state in which the recording ended; empty if there is none."""
+        found = [index.name for index in self.found.attachments if index.name == layout.END_ATTACHMENT]
+        return found[-1] if found else ""
 
     @property
-    def checkpoints(self) -> dict[int, AttachmentIndex]:
-        """Where the checkpoints behind the start are, by sample, in order."""
-        numbered = [(layout.checkpoint_sample(index.name), index) for index in self.found.attachments]
-        return dict(sorted((sample, index) for sample, index in numbered if sample is not None))
+    def checkpoints(self) -> dict[int, str]:
+        """Names of the attachments with states behind the start, by sample, in order."""
+        numbered = [(layout.checkpoint_sample(index.name), index.name) for index in self.found.attachments]
+        return dict(sorted((sample, name) for sample, name in numbered if sample is not None))
 
-    def attachment(self, index: AttachmentIndex) -> bytes:
-        """Content of an attachment. Raises GearboxError if it is spoilt."""
+    def attachment(self, name: str) -> bytes:
+        """Content of an attachment. Raises GearboxError if it can't be read."""
         with reading(self.path) as stream:
-            return read_attachment(stream, index)
+            return read_attachment(stream, _index(self.found, name))
 
-    def end_state(self) -> bytes:
-        """The state in which the recording ended, if ``end``."""
-        return self.attachment(_index(self.found, layout.END_ATTACHMENT))
-
-    def messages(self, topic: str, from_ns: int | None = None) -> Iterator[Stored]:
-        """Messages of the topic with this full name in their order, those before ``from_ns`` left out.
+    def messages(self, topics: Collection[str], from_ns: int | None = None) -> Iterator[Stored]:
+        """Messages of topics (full names) in their order, those before ``from_ns`` left out.
 
         Holds one chunk of the file at a time. Raises GearboxError where a chunk is spoilt.
         """
-        number = self._channel(topic)
+        wanted = self._channels(topics)
         with reading(self.path) as stream:
             for index in self.found.chunks:
-                if number not in index.message_index_offsets:
+                if wanted.keys().isdisjoint(index.message_index_offsets):
                     continue
                 if from_ns is not None and index.message_end_time < from_ns:
                     continue
-                for message in _messages(read_content(stream, index), number):
+                for message in _messages(read_content(stream, index), wanted):
                     if from_ns is None or message.time_ns >= from_ns:
                         yield message
 
     def last_message(self, topic: str) -> Stored | None:
         """The last message of a topic."""
-        number = self._channel(topic)
+        wanted = self._channels([topic])
         with reading(self.path) as stream:
             for index in reversed(self.found.chunks):
-                if number in index.message_index_offsets:
-                    *_, last = _messages(read_content(stream, index), number)
+                if not wanted.keys().isdisjoint(index.message_index_offsets):
+                    *_, last = _messages(read_content(stream, index), wanted)
                     return last
         return None
 
-    def _channel(self, topic: str) -> int | None:
+    def _channels(self, topics: Collection[str]) -> dict[int, str]:
         channels = self.found.channels.items()
-        return next((number for number, channel in channels if channel.topic == topic), None)
+        return {number: channel.topic for number, channel in channels if channel.topic in topics}
 
 
 def open_parts(path: Path) -> tuple[PartFile, ...]:
@@ -169,8 +167,8 @@ def _index(found: Survey, name: str) -> AttachmentIndex:
         raise KeyError(name) from None
 
 
-def _messages(content: bytes, wanted: int | None) -> Iterator[Stored]:
-    """Messages of one channel in the content of a chunk.
+def _messages(content: bytes, wanted: Mapping[int, str]) -> Iterator[Stored]:
+    """Messages of some channels (number: topic) in the content of a chunk.
 
     The mcap package makes an object of every record, which takes longer than decompressing them.
     """
@@ -181,6 +179,7 @@ def _messages(content: bytes, wanted: int | None) -> Iterator[Stored]:
         offset += _RECORD.size
         if opcode == Opcode.MESSAGE:
             channel, _, time_ns, _ = _MESSAGE.unpack_from(content, offset)
-            if channel == wanted:
-                yield Stored(time_ns, whole[offset + _MESSAGE.size : offset + length])
+            if channel in wanted:
+                data = whole[offset + _MESSAGE.size : offset + length]
+                yield Stored(wanted[channel], time_ns, data)
         offset += length

@@ -14,7 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.messages import TOPICS, RowReader, applied_commands, deserialize, resolve, stamp_ns
+from gear_dynamics_ros.messages import (
+    OF_A_CHUNK,
+    TOPICS,
+    RowReader,
+    applied_commands,
+    deserialize,
+    resolve,
+    stamp_ns,
+)
 from gear_dynamics_ros.parameters import Parameters, parse
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.parts import PartFile, Stored, open_parts
@@ -42,6 +50,14 @@ class TopicCount(NamedTuple):
     name: str
     type: str
     messages: int
+
+
+class RecordedChunk(NamedTuple):
+    """What a chunk made, as it was recorded."""
+
+    first: int  # sample
+    samples: int
+    messages: Mapping[str, memoryview]  # CDR by key in TOPICS
 
 
 class Recording:
@@ -219,6 +235,29 @@ class Recording:
             if end is not None and end <= expected < self.end_sample:
                 return
 
+    def recorded_chunks(self, number: int, first: int, end: int | None) -> Iterator[RecordedChunk]:
+        """The chunks of part ``number`` that begin at samples in [first, end).
+
+        Raises GearboxError where messages are not together as a chunk makes them.
+        """
+        keys = {self._names[key]: key for key in OF_A_CHUNK}
+        read = RowReader()
+        gathered: dict[str, Stored] = {}
+        from_ns = self.epoch_ns + first * self.sample_interval_ns
+        for message in self.parts[number].messages(keys, from_ns):
+            gathered[keys[message.topic]] = message
+            if keys[message.topic] != "waveform":
+                continue
+            times = {stored.time_ns for stored in gathered.values()}
+            if len(times) > 1:
+                raise GearboxError(f"{self.path}: messages of one chunk bear the times {sorted(times)} ns")
+            samples = len(read.read(message.data)[1])
+            begin = self.sample(message.time_ns) - samples + 1
+            if end is not None and begin >= end:
+                return
+            yield RecordedChunk(begin, samples, {key: stored.data for key, stored in gathered.items()})
+            gathered = {}
+
     def rows(self, topic: str) -> Iterator[tuple[int, NDArray[np.float64]]]:
         """Time in ns and rows of each message of a topic of arrays (key in TOPICS)."""
         read = RowReader()
@@ -286,7 +325,7 @@ class Recording:
 
     def _messages(self, topic: str, from_ns: int | None = None) -> Iterator[Stored]:
         for part in self.parts:
-            yield from part.messages(self._names[topic], from_ns)
+            yield from part.messages([self._names[topic]], from_ns)
 
     def _latched(self, topic: str) -> Iterator[bytes]:
         for number in range(len(self.parts)):
@@ -296,7 +335,7 @@ class Recording:
         """Messages of a latched topic in a part, without the last of the part before, which it repeats."""
         name = self._names[topic]
         before = self.parts[number - 1].last_message(name) if number else None
-        for position, message in enumerate(self.parts[number].messages(name)):
+        for position, message in enumerate(self.parts[number].messages([name])):
             if position or before is None or message.data != before.data:
                 yield bytes(message.data)
 
@@ -338,13 +377,16 @@ def open(path: str | Path) -> Recording:
 
 
 def _event(data: bytes) -> Event:
-    entry = json.loads(deserialize(TOPICS["event"].type, data).data)
-    return Event(
-        sample=entry["sample"],
-        time=entry["time"],
-        kind=entry["event"],
-        message=entry["message"],
-        counters=entry.get("counters", {}),
-        parameters=entry.get("parameters", {}),
-        checkpoint=entry.get("checkpoint", {}),
-    )
+    try:
+        entry = json.loads(deserialize(TOPICS["event"].type, data).data)
+        return Event(
+            sample=entry["sample"],
+            time=entry["time"],
+            kind=entry["event"],
+            message=entry["message"],
+            counters=entry.get("counters", {}),
+            parameters=entry.get("parameters", {}),
+            checkpoint=entry.get("checkpoint", {}),
+        )
+    except Exception as error:  # rosbags has no common class for what it finds wrong with bytes
+        raise GearboxError(f"an event is spoilt: {error!r}") from error

@@ -1,0 +1,342 @@
+"""Verification: whatever a run did comes out again, and whatever is altered is found."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from altering import alter, in_json, on_topic
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from gear_dynamics_ros import recording, replay
+from gear_dynamics_ros.cli.replay import main as replay_main
+from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.errors import UsageError
+from gear_dynamics_ros.messages import Encoder
+from gear_dynamics_ros.parameters import Parameters, updated
+from gear_dynamics_ros.recording.ring import Ring
+from gear_dynamics_ros.recording.writer import Recorder
+from gear_dynamics_ros.recordings import RecorderSink
+from gear_dynamics_ros.run import Run
+from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN, Commands
+
+# What may be done between two chunks; "restore" takes up the state that "save" kept.
+DEEDS: tuple[Any, ...] = (
+    "step",
+    "reset",
+    "save",
+    "restore",
+    "split",
+    Commands(30.0, 55.0, 1700.0),
+    Commands(31.0, -20.0, 1500.0),
+    {"operation.control": "torque"},
+    {"operation.control": "speed", "operation.speed": 1400.0},
+    {"operation.governor.integral": 50.0, "operation.drive_torque": 25.0},
+    {"surface.driving.roughness": 2e-6, "mesh.error_cos": [3e-6, 1e-6]},
+    {"mesh.error_mean": -20e-6, "oil.viscosity": 0.05},
+    {"mesh.error_mean": 0.0, "operation.load_torque": 30.0},
+)
+CHUNK = 30  # samples
+SHORT = {"solver.chunk": 3e-4}
+
+
+def perform(path: Path, deeds: Sequence[Any], parameters: Parameters) -> Path:
+    """Recording of a run in which ``deeds`` were done between its chunks, and one chunk more."""
+    engine = Engine(parameters)
+    recorder = Recorder(path, parameters, engine.checkpoint(), 0)
+    sink = RecorderSink(recorder, engine)
+    run = Run(engine, Encoder(parameters, 0), [sink])
+    saved = (run.engine.parameters, run.checkpoint())
+    commands = None
+    for deed in deeds:
+        if isinstance(deed, Commands):
+            commands = deed
+        elif isinstance(deed, dict):
+            run.change(updated(engine.parameters, deed))
+        elif deed == "reset":
+            run.reset()
+        elif deed == "save":
+            saved = (engine.parameters, run.checkpoint())
+        elif deed == "restore":
+            run.change(saved[0])
+            run.restore(saved[1], "as saved")
+        elif deed == "split":
+            sink.split()
+        elif deed == "step":
+            run.step(commands)
+            commands = None
+    run.step(commands)
+    run.close()
+    assert recorder.error is None
+    return path
+
+
+@given(
+    st.lists(st.one_of(st.just("step"), st.sampled_from(DEEDS)), min_size=1, max_size=20),
+    st.sampled_from(["torque", "speed"]),
+    st.sampled_from([0.0, 3e-4, 9e-4]),
+    st.sampled_from([0.0, 12e-4]),
+)
+@example(["save", "step", "restore", "step", "split", "step"], "speed", 3e-4, 0.0)
+@example(["step", "reset", "step", "split", "step"], "torque", 0.0, 6e-4)
+# A command repeated at the edge where something else has put another value in force.
+@example([DEEDS[5], "step", "reset", DEEDS[5], "step"], "torque", 3e-4, 0.0)
+@example([DEEDS[5], "step", DEEDS[12], DEEDS[5], "step"], "speed", 0.0, 0.0)
+@example(["save", DEEDS[5], "step", "restore", DEEDS[5], "step"], "torque", 9e-4, 0.0)
+# Done after the last chunk, and on both sides of a split at one edge.
+@example(["step", "step", DEEDS[7], "split", "reset", "step", "split", DEEDS[8]], "speed", 6e-4, 0.0)
+@settings(max_examples=40, deadline=None)
+def test_whatever_is_done_comes_out_again(
+    deeds: list[Any], control: str, checkpoints: float, split: float
+) -> None:
+    values = {
+        **SHORT,
+        "operation.control": control,
+        "recording.checkpoint_interval": checkpoints,
+        "recording.split_duration": split,
+    }
+    parameters = Parameters.from_flat(values)
+    chunks = deeds.count("step") + 1
+    with tempfile.TemporaryDirectory() as folder:
+        path = perform(Path(folder) / "bag", deeds, parameters)
+        whole = recording.open(path)
+        result = replay.verify(whole)
+        assert (result.difference, result.samples) == (None, CHUNK * chunks)
+        assert result.states >= max(len(whole.parts), chunks * 3e-4 / checkpoints - 1 if checkpoints else 0)
+        assert whole.parameters == parameters
+        for part in path.glob("*.mcap"):
+            assert replay.verify(recording.open(part)).difference is None
+        middle = chunks * 3e-4 / 2
+        result = replay.verify(whole, middle)
+        assert result.difference is None
+        assert CHUNK * chunks / 2 - 1 <= result.samples <= CHUNK * chunks
+
+
+@given(
+    st.lists(st.one_of(st.just("step"), st.sampled_from(DEEDS[:4] + DEEDS[5:])), min_size=10, max_size=60),
+    st.sampled_from([6e-4, 3e-3]),
+)
+@settings(max_examples=20, deadline=None)
+def test_what_a_ring_holds_comes_out_again(deeds: list[Any], held: float) -> None:
+    parameters = Parameters.from_flat({**SHORT, "recording.ring_duration": held})
+    engine = Engine(parameters)
+    ring = Ring(engine)
+    run = Run(engine, Encoder(parameters, 0), [])
+    run.attach(ring)
+    saved = run.checkpoint()
+    for deed in deeds:
+        if isinstance(deed, dict):
+            run.change(updated(engine.parameters, deed))
+        elif deed == "reset":
+            run.reset()
+        elif deed == "save":
+            saved = run.checkpoint()
+        elif deed == "restore":
+            run.restore(saved)
+        else:
+            run.step(deed if isinstance(deed, Commands) else None)
+    run.step()
+    with tempfile.TemporaryDirectory() as folder:
+        found = recording.open(ring.cut().write(Path(folder) / "bag", 0, "/gearbox"))
+        result = replay.verify(found)
+        assert found.complete and result.difference is None and result.states >= 1
+        wanted = min(round(held / 1e-5), engine.sample)
+        assert wanted <= result.samples <= wanted * 9 / 8 + CHUNK
+        assert found.end_sample == engine.sample
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Sixteen chunks with checkpoints, two parts, commands, changes, a reset and a restore."""
+    deeds = [
+        *("step", "step", Commands(30.0, 55.0, 1700.0), "step", "save"),
+        *({"oil.viscosity": 0.03}, "step", "step", "restore", "step", "split", "step"),
+        *({"operation.control": "torque"}, Commands(31.0, 25.0, 1500.0), "step", "reset", *["step"] * 7),
+    ]
+    parameters = Parameters.from_flat({**SHORT, "recording.checkpoint_interval": 9e-4})
+    return perform(tmp_path_factory.mktemp("verify") / "bag", deeds, parameters)
+
+
+def test_the_recording_that_is_altered_below_verifies_as_it_is(bag: Path, tmp_path: Path) -> None:
+    for path in (bag, alter(bag, tmp_path / "copy")):
+        result = replay.verify(recording.open(path))
+        assert result.difference is None
+        assert result.states == 7
+
+
+def bump(values: Any, index: int = 0) -> None:
+    """The next double."""
+    values[index] = np.nextafter(values[index], np.inf)
+
+
+def nudge(name: str) -> Any:
+    """Change of an attribute to the next double."""
+
+    def change(message: Any) -> None:
+        setattr(message, name, np.nextafter(getattr(message, name), np.inf))
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("topic", "number", "change", "what", "sample"),
+    [
+        ("waveform", 3, lambda m: bump(m.data, 28 * 7 + 3), "mesh_force", 97),
+        ("waveform", 14, lambda m: bump(m.data, 28 * 29), "time", 449),
+        ("dte", 5, nudge("data"), "dte: byte", 150),
+        ("mesh_force", 5, nudge("data"), "mesh_force: byte", 150),
+        ("pressure_angle", 0, nudge("data"), "pressure_angle: byte", 0),
+        ("joint_states", 5, lambda m: bump(m.position, 1), "joint_states: byte", 150),
+        ("driving_bearing_force", 5, lambda m: nudge("x")(m.wrench.force), "driving_bearing_force", 150),
+        ("driven_bearing_force", 5, lambda m: nudge("y")(m.wrench.force), "driven_bearing_force", 150),
+        ("energy", 9, lambda m: bump(m.data, 2), "energy: mesh_loss", 270),
+        ("meshing_state", 4, lambda m: setattr(m, "data", m.data - 1), "meshing_state: byte", 120),
+        ("applied_command", 1, lambda m: bump(m.effort, 1), "", 60),
+        # The governor sets the torque: only the state tells that another was commanded.
+        ("applied_command", 1, lambda m: bump(m.effort, 0), "state commands.drive_torque", 90),
+    ],
+)
+def test_an_altered_message_is_found(
+    bag: Path, tmp_path: Path, topic: str, number: int, change: Any, what: str, sample: int
+) -> None:
+    found = replay.verify(recording.open(alter(bag, tmp_path / "x", message=on_topic(topic, number, change))))
+    assert found.difference is not None
+    assert what in found.difference.what and found.difference.sample == sample
+    assert found.difference.recorded != found.difference.simulated
+
+
+@pytest.mark.parametrize("kind", ["reset", "restore", "parameters"])
+def test_a_deed_left_out_is_found(bag: Path, tmp_path: Path, kind: str) -> None:
+    def drop(topic: str, data: bytes) -> bytes | None:
+        return None if topic == "event" and f'"event": "{kind}"'.encode() in data else data
+
+    assert replay.verify(recording.open(alter(bag, tmp_path / "x", message=drop))).difference is not None
+
+
+@pytest.mark.parametrize("topic", ["energy", "dte", "waveform"])
+def test_a_message_left_out_is_found(bag: Path, tmp_path: Path, topic: str) -> None:
+    seen = []
+
+    def drop(name: str, data: bytes) -> bytes | None:
+        seen.extend([name] if name == topic else [])
+        return None if name == topic and len(seen) == 6 else data
+
+    difference = replay.verify(recording.open(alter(bag, tmp_path / "x", message=drop))).difference
+    assert difference is not None and difference.sample == 150
+
+
+def entry(name: str, index: int | None = None) -> Any:
+    """Change of an entry of a state to the next double."""
+
+    def change(content: dict[str, Any]) -> None:
+        state = content.get("checkpoint", content)["state"]
+        if index is None:
+            state[name] = float(np.nextafter(state[name], np.inf))
+        else:
+            bump(state[name], index)
+
+    return change
+
+
+@pytest.mark.parametrize("name", ["start.json", "checkpoint_90.json", "checkpoint_360.json", "end.json"])
+@pytest.mark.parametrize(
+    "change",
+    [
+        entry("u"),
+        entry("omega", 0),
+        entry("governor"),
+        entry("mesh_loss"),
+        lambda content: content.get("checkpoint", content)["commands"].update(speed=1.0),
+    ],
+)
+def test_an_altered_state_is_found(bag: Path, tmp_path: Path, name: str, change: Any) -> None:
+    altered = alter(bag, tmp_path / "x", attachment=in_json(name, change))
+    assert replay.verify(recording.open(altered)).difference is not None
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (b"roughness: 8.0e-07", b"roughness: 8.000001e-07"),
+        (b"minimum_impact_speed: 0.001", b"minimum_impact_speed: 0.0010001"),
+        # Of no consequence for this run: told by what else is stored.
+        (b"kelvin_damping: 2000.0", b"kelvin_damping: 2001.0"),
+    ],
+)
+def test_an_altered_parameter_is_found(bag: Path, tmp_path: Path, old: bytes, new: bytes) -> None:
+    def change(name: str, data: bytes) -> bytes:
+        return data.replace(old, new, 1) if name == "parameters.yaml" else data
+
+    altered = alter(bag, tmp_path / "x", attachment=change)
+    assert recording.open(altered).parameters != recording.open(bag).parameters
+    assert replay.verify(recording.open(altered)).difference is not None
+
+
+def test_an_altered_change_of_a_parameter_is_found(bag: Path, tmp_path: Path) -> None:
+    def change(topic: str, data: bytes) -> bytes:
+        return data.replace(b": 0.03}", b": 0.04}") if topic == "event" else data
+
+    assert replay.verify(recording.open(alter(bag, tmp_path / "x", message=change))).difference is not None
+
+
+def test_an_event_that_cannot_be_is_told(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def unknown(topic: str, data: bytes) -> bytes:
+        return data.replace(b"oil.viscosity", b"oil.vi5cosity") if topic == "event" else data
+
+    def spoilt(topic: str, data: bytes) -> bytes:
+        return data.replace(b'"event": "reset"', b'"event"; "reset"') if topic == "event" else data
+
+    for change, told in ((unknown, "oil.vi5cosity"), (spoilt, "event")):
+        path = alter(bag, tmp_path / told, message=change)
+        assert replay_main(["verify", str(path)]) == 1
+        error = capsys.readouterr().err
+        assert told in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize("channels", [CHANNEL_NAMES, tuple(COLUMN), ("time", "mesh_loss")])
+def test_any_choice_of_channels_comes_out_again(tmp_path: Path, channels: tuple[str, ...]) -> None:
+    parameters = Parameters.from_flat({**SHORT, "waveform_channels": channels})
+    deeds = ["step", Commands(30.0, 55.0, 1700.0), "step", "reset", "step"]
+    result = replay.verify(recording.open(perform(tmp_path / "bag", deeds, parameters)))
+    assert (result.difference, result.samples) == (None, 4 * CHUNK)
+
+
+def test_from_begins_at_the_last_state_before(bag: Path) -> None:
+    read = recording.open(bag)
+    assert replay.verify(read, 0.0).samples == 16 * CHUNK
+    # the part begins at 180, checkpoints lie 90 samples apart
+    assert replay.verify(read, 2.8e-3).samples == (16 * CHUNK) - 270
+    with pytest.raises(UsageError, match=r"lies outside the recording: it holds 0 s to 0\.0048 s"):
+        replay.verify(read, 1.0)
+
+
+def test_a_difference_is_told_with_both_values_and_what_else_differs(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = alter(bag, tmp_path / "x", message=on_topic("waveform", 3, lambda m: bump(m.data, 28 * 7 + 3)))
+    assert replay_main(["verify", str(path)]) == 1
+    out, err = capsys.readouterr()
+    force = recording.open(bag).waveform()[97, 3]
+    assert not out
+    assert (
+        f"sample 97, mesh_force: recorded {float(np.nextafter(force, np.inf))!r}, now {float(force)!r}" in err
+    )
+    assert replay_main(["verify", str(bag), "--from", "0.003"]) == 0
+    out, err = capsys.readouterr()
+    assert "came out the same to the bit" in out and "times real time" in out
+
+
+def test_another_processor_or_kernel_is_named(bag: Path) -> None:
+    read = recording.open(bag)
+    assert replay.origins(read) == []
+    read.run = read.run._replace(processor="an abacus", kernel_hash="0" * 64)
+    kernel, processor = replay.origins(read)
+    assert kernel.startswith("kernel hash: recorded by 000")
+    assert processor.startswith("processor: recorded by an abacus, this is ")
