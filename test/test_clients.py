@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import os
 import subprocess
+import sys
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,6 +13,7 @@ from pathlib import Path
 from typing import IO, Any
 
 import pytest
+from ament_index_python import get_package_share_path
 from conftest import Rerun
 from mcap.reader import NonSeekingReader, SeekingReader, make_reader
 from mcap_ros2.decoder import DecoderFactory
@@ -88,6 +92,18 @@ def test_mcap_decodes_every_message(made: Made, source: Any, kind: type) -> None
                 for _, channel, message, content in reader.iter_decoded_messages(log_time_order=False)
             ]
         assert found == expected
+
+
+def test_type_hashes_are_those_of_ros(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The wheels of ROS install their files below the venv and don't say so.
+    monkeypatch.setenv("AMENT_PREFIX_PATH", os.environ.get("AMENT_PREFIX_PATH") or sys.prefix)
+    with AnyReader([made.path]) as reader:
+        found = {connection.msgtype: connection.digest for connection in reader.connections}
+    for type_name, digest in found.items():
+        package, _, name = type_name.split("/")
+        shipped = json.loads((get_package_share_path(package) / "msg" / f"{name}.json").read_text())
+        hashes = {entry["type_name"]: entry["hash_string"] for entry in shipped["type_hashes"]}
+        assert digest == hashes[type_name]
 
 
 def test_rerun_converts_every_file(made: Made, rerun_command: Rerun, tmp_path: Path) -> None:
