@@ -13,6 +13,7 @@ unexport PYTHONPATH LD_LIBRARY_PATH AMENT_PREFIX_PATH RMW_IMPLEMENTATION _ROS_WH
 
 INSTALLED := $(VENV)/.installed
 WARM := $(VENV)/.warm
+NODE_READERS := test/node/node_modules/.installed
 
 .PHONY: setup demo test bench soak lint clean
 
@@ -21,7 +22,7 @@ setup: $(WARM)
 demo: setup
 	@$(BIN)/python scripts/demo.py --output demo
 
-test: setup
+test: setup $(NODE_READERS)
 	@echo "== Running the test suite"
 	@$(BIN)/pytest --numprocesses 2 --dist loadfile --durations 10
 
@@ -39,7 +40,7 @@ lint: setup
 	@$(BIN)/mypy gear_dynamics_ros
 
 clean:
-	rm -rf $(VENV) build install log demo *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) build install log demo *.egg-info .pytest_cache .mypy_cache .ruff_cache test/node/node_modules
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(INSTALLED): setup.py setup.cfg pyproject.toml constraints.txt
@@ -62,3 +63,13 @@ $(WARM): $(INSTALLED) $(wildcard gear_dynamics_ros/physics/*.py)
 		$(BIN)/simulate --params-file config/gearbox.yaml --duration 0.01 --output "$$scratch/warm"
 	@touch $@
 	@echo "== Ready"
+
+# Recordings are also read in JavaScript, where Node.js is at hand; without it those tests are skipped.
+$(NODE_READERS): test/node/package.json test/node/package-lock.json test/node/.npmrc
+	@if ! node --eval "process.exit(parseInt(process.versions.node) < 18 ? 1 : 0)" 2>/dev/null || ! npm --version >/dev/null 2>&1; then \
+		echo "== No Node.js 18 or later with npm here: recordings are not read in JavaScript"; \
+	elif ! (cd $(<D) && npm ci --silent); then \
+		echo "== npm can't install the readers of test/node: recordings are not read in JavaScript (to see why: cd test/node && npm ci)"; \
+	else \
+		touch $@; \
+	fi

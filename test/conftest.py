@@ -146,6 +146,7 @@ class Process:
 
 
 StartProcess = Callable[..., Process]
+Rerun = Callable[..., str]
 
 
 @contextmanager
@@ -186,6 +187,24 @@ def _log_directory(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         environment.setenv("ROS_LOG_DIR", str(tmp_path_factory.mktemp("ros_log")))
         environment.setenv("MPLBACKEND", "Agg")
         yield
+
+
+@pytest.fixture(scope="session")
+def rerun_command(tmp_path_factory: pytest.TempPathFactory) -> Rerun:
+    """``rerun_command("rrd", "stats", path)``: what Rerun's command prints; it reports to nobody."""
+    pytest.importorskip("rerun", reason="Rerun is optional at run time")
+    home = tmp_path_factory.mktemp("rerun")
+    environment = os.environ | {"XDG_CONFIG_HOME": str(home), "XDG_DATA_HOME": str(home)}
+
+    def run(*arguments: str | Path) -> str:
+        done = subprocess.run(
+            [executable("rerun"), *arguments], env=environment, capture_output=True, text=True, timeout=120
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    run("analytics", "disable")
+    return run
 
 
 @pytest.fixture

@@ -64,7 +64,8 @@ def installation(prefix: Path) -> Installation:
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy without leftovers: setuptools builds inside the tree and installs what it finds there."""
     copy = tmp_path_factory.mktemp("source") / PACKAGE
-    ignored = shutil.ignore_patterns(".*", "__pycache__", "*.egg-info", "build", "install", "log", "demo")
+    made = ("__pycache__", "*.egg-info", "build", "install", "log", "demo", "node_modules")
+    ignored = shutil.ignore_patterns(".*", *made)
     shutil.copytree(SOURCE, copy, ignore=ignored)
     return copy
 

@@ -18,6 +18,7 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from recordings_made import EPOCH_NS, extra_records
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
@@ -25,7 +26,7 @@ from rosbags.rosbag2 import Reader
 from gear_dynamics_ros import __version__, recording
 from gear_dynamics_ros.engine import kernel_hash
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.messages import TOPICS, Encoder, Record, message_class, resolve, serialize, stamp
+from gear_dynamics_ros.messages import TOPICS, Encoder, resolve
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.recording import mcap_writer, writer
 from gear_dynamics_ros.recording.writer import Recorder
@@ -33,14 +34,12 @@ from gear_dynamics_ros.signals import (
     CHANNEL_NAMES,
     ENERGIES,
     IMPACTS,
-    PACE,
     Chunk,
     Commands,
     Counters,
     Status,
 )
 
-EPOCH_NS = 1_700_000_000_123_456_789
 COUNTERS = Counters(0, 0, 0, 0, 0)
 ROWS = 200
 FIRST = Commands(30.0, 20.0, 1000.0)
@@ -70,29 +69,6 @@ def start_at(sample: int) -> dict[str, Any]:
 
 def equal(left: np.ndarray[Any, Any], right: np.ndarray[Any, Any]) -> bool:
     return left.shape == right.shape and left.tobytes() == right.tobytes()
-
-
-def extra_records(encoder: Encoder) -> list[Record]:
-    """One message of each topic that no chunk, command or event makes."""
-    header = message_class("std_msgs/msg/Header")(stamp=stamp(EPOCH_NS), frame_id="")
-    key_value = message_class("diagnostic_msgs/msg/KeyValue")(key="overruns", value="0")
-    status = message_class("diagnostic_msgs/msg/DiagnosticStatus")(
-        level=0, name="gearbox: pacing", message="", hardware_id="gearbox", values=[key_value]
-    )
-    contents = {
-        "diagnostics": message_class("diagnostic_msgs/msg/DiagnosticArray")(header=header, status=[status]),
-        "clock": message_class("rosgraph_msgs/msg/Clock")(clock=stamp(EPOCH_NS)),
-        "drive_torque_command": message_class("std_msgs/msg/Float64")(data=31.5),
-        "load_torque_command": message_class("std_msgs/msg/Float64")(data=20.0),
-        "speed_command": message_class("std_msgs/msg/Float64")(data=1000.0),
-    }
-    records = [Record(key, EPOCH_NS, serialize(TOPICS[key].type, value)) for key, value in contents.items()]
-    return [
-        *records,
-        encoder.applied(FIRST, 0)._replace(topic="joint_command"),
-        encoder.pacing(EPOCH_NS, [0.0] * len(PACE)),
-        encoder.model_info(EPOCH_NS, "{}"),
-    ]
 
 
 @pytest.fixture(scope="module")

@@ -5,13 +5,13 @@ from __future__ import annotations
 import socket
 import subprocess
 import sys
-import sysconfig
 import textwrap
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import Rerun
 
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import UsageError
@@ -34,11 +34,6 @@ def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
-
-
-def rrd(verb: str, path: Path) -> str:
-    command = [str(Path(sysconfig.get_path("scripts")) / "rerun"), "rrd", verb, str(path)]
-    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
 
 
 @pytest.fixture(scope="module")
@@ -64,9 +59,9 @@ def test_off_is_no_viewer() -> None:
     assert open_viewer(Parameters()) is None
 
 
-def test_saved_file_is_whole_and_holds_every_view(saved: Path) -> None:
-    rrd("verify", saved)
-    described = rrd("stats", saved)
+def test_saved_file_is_whole_and_holds_every_view(saved: Path, rerun_command: Rerun) -> None:
+    rerun_command("rrd", "verify", saved)
+    described = rerun_command("rrd", "stats", saved)
     for entity in (
         "/mesh/dte",
         "/mesh/force",
