@@ -84,11 +84,12 @@ def extra_records(encoder: Encoder) -> list[Record]:
 
 def record_everything(path: Path) -> Made:
     """0.12 s of a run with commands, changed parameters, a pause, a split, a reset and all topics."""
-    parameters = Parameters.from_flat({"operation.control": "torque"})
+    parameters = Parameters.from_flat({"operation.control": "torque", "recording.checkpoint_interval": 0.025})
     engine = Engine(parameters)
     encoder = Encoder(parameters, EPOCH_NS)
     recorder, kept = Recorder(path, parameters, engine.checkpoint(), EPOCH_NS), _Kept()
-    run = Run(engine, encoder, [RecorderSink(recorder), kept])
+    sink = RecorderSink(recorder, engine)
+    run = Run(engine, encoder, [sink, kept])
     run.emit(extra_records(encoder))
     for number in range(CHUNKS):
         if number == 10:
@@ -100,7 +101,7 @@ def record_everything(path: Path) -> Made:
             run.note(PAUSE)
             run.note(RESUME)
             kept.split(EPOCH_NS + engine.sample * parameters.solver.sample_interval_ns)
-            recorder.split(run.checkpoint(), engine.parameters)
+            sink.split()
         elif number == 40:
             run.reset("by hand")
         run.step()
