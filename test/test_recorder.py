@@ -1,0 +1,244 @@
+"""The recorder at work: splits, checkpoints, the ring, and what may happen to the place it writes to."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gear_dynamics_ros import checkpoints, recording, replay
+from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.messages import Encoder
+from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.recording import writer
+from gear_dynamics_ros.recording.ring import Ring
+from gear_dynamics_ros.recording.writer import Recorder
+from gear_dynamics_ros.recordings import RecorderSink, Recordings
+from gear_dynamics_ros.run import Run
+
+CHUNK = 200  # samples
+
+
+class Recorded:
+    """A run, its recorder, and what follows from parameters."""
+
+    def __init__(self, path: Path, **values: object) -> None:
+        self.parameters = Parameters.from_flat(values)
+        self.engine = Engine(self.parameters)
+        self.recorder = Recorder(path, self.parameters, self.engine.checkpoint(), 0)
+        sink = RecorderSink(self.recorder, self.engine)
+        self.run = Run(self.engine, Encoder(self.parameters, 0), [sink])
+
+    def steps(self, count: int) -> None:
+        for _ in range(count):
+            self.run.step()
+
+
+def test_checkpoints_lie_an_interval_apart_and_hold_what_a_checkpoint_file_does(tmp_path: Path) -> None:
+    made = Recorded(tmp_path / "bag", **{"recording.checkpoint_interval": 0.005})
+    made.steps(10)
+    made.run.close()
+    (part,) = recording.open(tmp_path / "bag").parts
+    assert list(part.checkpoints) == [3 * CHUNK, 6 * CHUNK, 9 * CHUNK]
+    file = tmp_path / "file.json"
+    file.write_bytes(part.attachment(part.checkpoints[6 * CHUNK]))
+    saved = checkpoints.load(file)
+    engine = Engine(saved.parameters)
+    engine.restore(saved.checkpoint)
+    samples = recording.open(tmp_path / "bag").waveform()
+    assert engine.advance(CHUNK).samples.tobytes() == samples[6 * CHUNK : 7 * CHUNK].tobytes()
+    assert checkpoints.from_text(part.attachment(part.end).decode(), "end").checkpoint["sample"] == 10 * CHUNK
+
+
+def test_no_checkpoints_where_none_are_wanted(tmp_path: Path) -> None:
+    made = Recorded(tmp_path / "bag", **{"recording.checkpoint_interval": 0.0})
+    made.steps(3)
+    made.run.close()
+    (part,) = recording.open(tmp_path / "bag").parts
+    assert not part.checkpoints and part.end
+
+
+def test_a_new_file_after_a_simulated_time(tmp_path: Path) -> None:
+    made = Recorded(tmp_path / "bag", **{"recording.split_duration": 0.01})
+    made.steps(12)
+    made.run.close()
+    bag = recording.open(tmp_path / "bag")
+    assert [part.first_sample for part in bag.parts] == [0, 5 * CHUNK, 10 * CHUNK]
+    assert replay.verify(bag).difference is None
+
+
+def test_a_new_file_at_a_size(tmp_path: Path) -> None:
+    size = 2_500_000
+    made = Recorded(tmp_path / "bag", **{"recording.split_size": size, "solver.step": 1e-5})
+    made.steps(300)
+    made.run.close()
+    bag = recording.open(tmp_path / "bag")
+    assert len(bag.parts) > 2
+    # a file is noticed to be full when a chunk of it has been written, and ends with what is queued by then
+    assert all(size <= part.size for part in bag.parts[:-1])
+    assert len(bag.waveform()) == 300 * CHUNK
+    for part in bag.parts:
+        assert replay.verify(recording.open(part.path)).difference is None
+
+
+def test_a_split_that_waits_is_not_asked_for_twice(tmp_path: Path) -> None:
+    made = Recorded(tmp_path / "bag")
+    made.steps(1)
+    # the recorder's thread can't take anything while its lock is held
+    with made.recorder._changed:
+        made.recorder.split(made.engine.checkpoint(), made.parameters)
+        assert made.recorder.part_bytes == 0
+    made.run.close()
+    assert made.recorder.part_bytes > 0
+
+
+def test_a_split_size_that_is_no_file_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"recording\.split_size = 1000 B is too small"):
+        Parameters.from_flat({"recording.split_size": 1000})
+
+
+def test_too_little_room_is_refused_at_the_start(tmp_path: Path) -> None:
+    with pytest.raises(GearboxError, match=r"less than recording\.minimum_free = 1\.1.*: free space"):
+        Recorded(tmp_path / "bag", **{"recording.minimum_free": 1 << 50})
+    assert list(tmp_path.iterdir()) == []
+
+
+def until_stopped(made: Recorded) -> str:
+    """Step until the recorder has noticed something, and chunks after that; returns what it says."""
+    for _ in range(20_000):
+        made.steps(1)
+        if made.recorder.error is not None:
+            break
+    made.steps(2)
+    made.run.close()
+    assert made.recorder.error is not None and "\n" not in made.recorder.error
+    return made.recorder.error
+
+
+def test_recording_stops_in_time_before_the_disk_is_full(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writer, "FLUSH_SECONDS", 0.01)
+    made = Recorded(tmp_path / "bag", **{"solver.step": 1e-5})
+    made.steps(50)
+    made.recorder._disk._minimum = 1 << 60
+    error = until_stopped(made)
+    assert "are free there, less than recording.minimum_free" in error
+    stats = made.recorder.stats
+    bag = recording.open(tmp_path / "bag")
+    assert bag.complete and len(bag.waveform()) >= CHUNK
+    assert stats.lost > 0
+    handed = made.engine.sample // CHUNK
+    # what a chunk makes, ten messages at most and nine at least, is kept whole or counted as lost
+    assert 9 * handed <= stats.lost + sum(topic.messages for topic in bag.topics) <= 10 * handed + 2
+
+
+@pytest.mark.parametrize("what", ["folder", "file", "another in its place"])
+def test_a_folder_that_is_taken_away_is_noticed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    monkeypatch.setattr(writer, "FLUSH_SECONDS", 0.01)
+    path = tmp_path / "bag"
+    made = Recorded(path, **{"solver.step": 1e-5})
+    made.steps(10)
+    if what == "file":
+        (path / "bag_0.mcap").unlink()
+    else:
+        shutil.move(path, tmp_path / "elsewhere")
+    if what == "another in its place":
+        path.mkdir()
+        (path / "bag_0.mcap").write_bytes(b"mine")
+    error = until_stopped(made)
+    assert "'bag_0.mcap' has gone from its folder" in error
+    assert made.engine.sample > 10 * CHUNK
+    if what == "another in its place":
+        assert [file.name for file in path.iterdir()] == ["bag_0.mcap"]
+        assert (path / "bag_0.mcap").read_bytes() == b"mine"
+
+
+FULL_AT_A_SPLIT = """
+import resource, sys, time
+from pathlib import Path
+sys.path.insert(0, {tests!r})
+from test_recorder import *
+made = Recorded(Path(sys.argv[1]), **{{"solver.step": 1e-5}})
+made.steps(20)
+made.recorder.split(made.engine.checkpoint(), made.parameters)
+while made.recorder.stats.parts < 2:
+    time.sleep(0.01)
+# not even the start of another part fits
+resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))
+made.recorder.split(made.engine.checkpoint(), made.parameters)
+made.steps(20)
+made.run.close()
+print(made.recorder.error)
+"""
+
+
+def test_a_disk_that_is_full_at_a_split_leaves_the_parts_before(tmp_path: Path) -> None:
+    code = FULL_AT_A_SPLIT.format(tests=str(Path(__file__).parent))
+    path = tmp_path / "bag"
+    done = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert "File too large" in done.stdout
+    first = recording.open(path / "bag_0.mcap")
+    assert first.complete and len(first.waveform()) == 20 * CHUNK
+
+
+def test_flushed_is_what_a_reader_finds_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(writer, "FLUSH_SECONDS", 0.05)
+    made = Recorded(tmp_path / "bag", **{"solver.step": 1e-5})
+    for _ in range(20):
+        made.steps(20)
+        flushed = made.recorder.stats.flushed
+        if flushed:
+            found = recording.open(tmp_path / "bag")
+            assert sum(topic.messages for topic in found.topics) >= flushed
+    assert made.recorder.stats.flushed > 0
+    made.run.close()
+    assert made.recorder.stats.flushed == made.recorder.stats.messages
+
+
+def test_a_ring_writes_the_last_of_a_run_and_goes_on(tmp_path: Path) -> None:
+    parameters = Parameters.from_flat(
+        {
+            "recording.path": str(tmp_path / "bag"),
+            "recording.mode": "ring",
+            "recording.ring_duration": 0.032,
+        }
+    )
+    engine = Engine(parameters)
+    run = Run(engine, Encoder(parameters, 0))
+    recordings = Recordings(run, 0, "/cell/box")
+    with pytest.raises(GearboxError, match="there is no ring"):
+        recordings.cut()
+    recordings.arm()
+    for steps, name in ((3, "bag"), (40, "bag_2")):
+        for _ in range(steps):
+            run.step()
+        path = recordings.write(recordings.cut())
+        assert path == tmp_path / name
+        found = recording.open(path)
+        assert found.complete and found.node == "/cell/box"
+        assert found.end_sample == engine.sample
+        assert min(engine.sample, 16 * CHUNK) <= found.end_sample - found.first_sample <= 18 * CHUNK
+        assert found.commands[0][1] == engine.commands
+        assert replay.verify(found).difference is None
+    assert recordings.ring is not None and 16 * CHUNK <= recordings.ring.samples <= 18 * CHUNK
+    assert recordings.ring.size < 19 * 50_000
+
+
+def test_a_ring_forgets(tmp_path: Path) -> None:
+    parameters = Parameters.from_flat({"recording.ring_duration": 0.01, "solver.step": 1e-5})
+    engine = Engine(parameters)
+    ring = Ring(engine)
+    run = Run(engine, Encoder(parameters, 0), [ring])
+    sizes = []
+    for _ in range(200):
+        run.step()
+        sizes.append(ring.size)
+    assert max(sizes[20:]) < 8 * 50_000
