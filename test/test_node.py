@@ -32,7 +32,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
-from gear_dynamics_ros import recording
+from gear_dynamics_ros import recording, replay
+from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages import TOPICS, resolve
 from gear_dynamics_ros.node_topics import COMMANDS, message_type, quality
 from gear_dynamics_ros.parameters import specifications
@@ -424,6 +425,11 @@ def test_what_is_no_message_is_refused_and_counted(client, node):
     assert "no std_msgs/msg/Float64" in node.output
 
 
+def test_without_a_ring_there_is_no_snapshot(client, node):
+    answer = client.call(Trigger, "snapshot")
+    assert not answer.success and "recording.mode = 'ring'" in answer.message
+
+
 def test_recording_can_be_split_switched_off_and_on(client, bag, process):
     assert client.call(Trigger, "split").success
     assert client.call(SetBool, "record", SetBool.Request(data=False)).success
@@ -540,7 +546,6 @@ def test_duration_ends_the_node_with_a_complete_recording(ros_domain, process, t
         ("gears.driving.teth:=40", ["gears.driving.teth", "gears.driving.teeth"]),
         ("oil.viscosity:=.nan", ["oil.viscosity", "nan"]),
         ("operation.speed:=6000.0", ["operation.speed", "6000", "speed_limit"]),
-        ("recording.path:=/", ["recording.path", "exists"]),
         ("checkpoint.path:=/nowhere/state.json", ["checkpoint.path", "/nowhere", "does not exist"]),
         ("mesh.error_cos:=[]", ["array"]),
         ("qos_overrides./gearbox/dte.publisher.reliability:=sometimes", ["qos_overrides", "reliability"]),
@@ -551,6 +556,73 @@ def test_a_wrong_parameter_stops_the_start_with_one_line(ros_domain, process, ov
     assert node.wait() == 2
     (line,) = node.stderr.splitlines()
     assert line.startswith("gearbox: error: ") and all(word in line for word in words)
+
+
+@pytest.mark.parametrize("what", ["exists", "can't be written", "has no room"])
+def test_a_recording_that_cannot_begin_leaves_the_gearbox_running(ros_domain, process, tmp_path, what):
+    (tmp_path / "there").write_text("mine")
+    path, told, free = {
+        "exists": (tmp_path / "there", "exists already and recordings never overwrite", 0),
+        "can't be written": (tmp_path / "there" / "bag", "Not a directory: choose a writable place", 0),
+        "has no room": (tmp_path / "bag", "less than recording.minimum_free", 1 << 50),
+    }[what]
+    node = gearbox(process, f"recording.path:={path}", f"recording.minimum_free:={free}")
+    client = Client()
+    try:
+        client.hear("waveform", 5)
+        found = client.statuses()["gearbox: recorder"]
+        assert found.level == DiagnosticStatus.ERROR and told in found.message
+        assert node.output.count("recording.path: ") == 1
+        if what == "exists":
+            # another place beside it is free
+            answer = client.call(SetBool, "record", SetBool.Request(data=True))
+            assert answer.success and answer.message.endswith("there_2")
+            assert client.statuses()["gearbox: recorder"].level == DiagnosticStatus.OK
+        node.signal(signal.SIGINT)
+        assert node.wait() == 1
+    finally:
+        client.close()
+    assert (tmp_path / "there").read_text() == "mine"
+
+
+def test_a_ring_is_written_when_asked_for_and_when_the_run_ends_by_a_fault(ros_domain, process, tmp_path):
+    node = gearbox(
+        process,
+        f"recording.path:={tmp_path / 'bag'}",
+        "recording.mode:=ring",
+        "recording.ring_duration:=0.2",
+        "recording.split_duration:=0.1",
+    )
+    client = Client()
+    try:
+        client.hear("waveform", 5)
+        assert not (tmp_path / "bag").exists()
+        for name in ("bag", "bag_2"):
+            answer = client.call(Trigger, "snapshot")
+            assert answer.success and answer.message == f"recorded {tmp_path / name}"
+        values = {entry.key: entry.value for entry in client.statuses()["gearbox: recorder"].values}
+        assert values["last snapshot"] == str(tmp_path / "bag_2") and int(values["ring (bytes)"]) > 0
+        # Beside the ring everything may be recorded for a while.
+        assert client.call(SetBool, "record", SetBool.Request(data=True)).message.endswith("bag_3")
+        client.hear("waveform", 100)
+        assert client.call(SetBool, "record", SetBool.Request(data=False)).success
+        assert client.put("operation.speed_limit", 1625.0).successful
+        client.put("operation.speed", 1624.9)
+        client.put("operation.governor.proportional", 50.0)
+        node.wait_for(f"what led to it is in {tmp_path / 'bag_4'}")
+        node.signal(signal.SIGTERM)
+        assert node.wait() == 0
+    finally:
+        client.close()
+    for name in ("bag", "bag_2", "bag_3", "bag_4"):
+        found = recording.open(tmp_path / name)
+        assert found.complete
+        assert replay.verify(found).difference is None
+    assert "over-speed" in found.events[-1].message
+    assert 0.2 <= found.duration_ns / 1e9 <= 0.23
+    assert len(recording.open(tmp_path / "bag_3").parts) >= 2
+    with pytest.raises(GearboxError, match="no recording"):
+        recording.open(tmp_path / "bag_5")
 
 
 def test_an_overrun_ends_the_run_where_that_is_wanted(ros_domain, process, tmp_path):
@@ -640,23 +712,16 @@ def test_quality_of_service_can_be_overridden(ros_domain, process):
         client.close()
 
 
-def test_activation_that_fails_can_be_tried_again(ros_domain, process, tmp_path):
+def test_a_recording_that_could_not_begin_can_begin_later(ros_domain, process, tmp_path):
     path = tmp_path / "bag"
-    node = gearbox(process, f"recording.path:={path}", "autostart:=false", "pacing.real_time_factor:=0.2")
+    path.mkdir()
+    node = gearbox(process, f"recording.path:={path}", "pacing.real_time_factor:=0.2")
     client = Client()
-
-    def change(transition):
-        request = ChangeState.Request(transition=Transition(id=transition))
-        return client.call(ChangeState, "change_state", request).success
-
     try:
-        path.mkdir()
-        assert not client.call(Trigger, "reset").success
-        assert change(Transition.TRANSITION_CONFIGURE)
-        assert not change(Transition.TRANSITION_ACTIVATE)
+        client.hear("waveform")
         assert "recordings never overwrite" in node.output
         path.rmdir()
-        assert change(Transition.TRANSITION_ACTIVATE)
+        assert client.call(SetBool, "record", SetBool.Request(data=True)).message == f"recording to {path}"
         client.hear("waveform")
     finally:
         client.close()

@@ -390,7 +390,7 @@ class _PartWriter:
         """Raise _StoppedError if the file is no longer where it was made: writing to it would help nobody."""
         if not self._mcap.in_place:
             raise _StoppedError(
-                f"'{self._path.name}' has gone from its folder: put it back, or start a new recording"
+                f"its file '{self._path.name}' has gone: put it back, or start a new recording"
             )
 
     def finish(self) -> Part:
@@ -429,6 +429,8 @@ def _reason(error: Exception) -> str:
     """What went wrong and what to do, in words."""
     if isinstance(error, _StoppedError):
         return str(error)
+    if isinstance(error, FileNotFoundError):
+        return "its folder has gone: put it back, or start a new recording"
     if isinstance(error, OSError) and error.strerror:
         return f"{error.strerror}: what was written stays readable; free space or choose another path"
     return f"{str(error) or repr(error)}: what was written stays readable; start a new recording"
