@@ -31,7 +31,7 @@ NUMBERS_FILE: Final = "diff.json"
 FIGURE_FILE: Final = "diff.png"
 PREFERRED: Final = ("dte", "mesh_force", "driving_speed", "driving_contact_force_x")
 SHOWN: Final = 4  # channels in the figure
-LISTED: Final = 8  # parameters or events on stdout; diff.json has all
+LISTED: Final = 6  # of a kind on stdout; diff.json has all
 VISIBLE: Final = 0.1  # of the greatest difference: there the overlaid curves are seen to part
 SAMPLES_BEFORE: Final = 40
 SAMPLES_AFTER: Final = 120
@@ -188,10 +188,10 @@ def commanded(commands: Commands | None) -> str:
     )
 
 
-def shortened(lines: Sequence[str]) -> list[str]:
-    """The first of ``lines``, and how many more there are."""
-    more = len(lines) - LISTED
-    return [*lines[:LISTED], f"and {more} more"] if more > 0 else list(lines)
+def shortened(entries: Sequence[str]) -> list[str]:
+    """The first of ``entries``, and how many more there are."""
+    more = len(entries) - LISTED
+    return [*entries[:LISTED], f"and {more} more"] if more > 0 else list(entries)
 
 
 def table(compared: Compared) -> list[str]:
@@ -235,7 +235,7 @@ def verdict(compared: Compared) -> str:
     if not firsts:
         return "what both have is the same to the bit, but one has more"
     first = min(firsts.values())
-    names = ", ".join(name for name, sample in firsts.items() if sample == first)
+    names = ", ".join(shortened([name for name, sample in firsts.items() if sample == first]))
     return f"differ from {seconds(compared.pair, first)} (sample {first}) on, first in {names}"
 
 

@@ -58,7 +58,6 @@ def export_bag(arguments: argparse.Namespace) -> int:
             f"replay: warning: {bag.path} is broken off: what is readable, up to {end:.9g} s, was exported",
             file=sys.stderr,
         )
-    print(
-        f"{arguments.output}: {written.rows} rows of {written.columns} columns, {written.size / 1e6:.3g} MB"
-    )
+    size = f"{written.size / 1e6:.1f} MB" if written.size >= 1e6 else f"{written.size / 1e3:.1f} kB"
+    print(f"{arguments.output}: {written.rows} rows of {written.columns} columns, {size}")
     return 0
