@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple, cast
 
 import matplotlib as mpl
@@ -13,9 +13,10 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from gear_dynamics_ros import palette
+from gear_dynamics_ros.analysis.comparison import Difference
 from gear_dynamics_ros.analysis.spectra import amplitude_spectrum
 from gear_dynamics_ros.analysis.statistics import Envelope, bearing_force_name
-from gear_dynamics_ros.analysis.summary import mesh_rate, section
+from gear_dynamics_ros.analysis.summary import UNITS, mesh_rate, section
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.samples import GEARS, Samples, contact_channels, film_channels
 
@@ -405,3 +406,99 @@ def bearing_force(samples: Samples) -> Figure:
         axis.set_title(f"Bearing of the {gear} gear, last {len(shown) * shown.interval:.3g} s of the window")
     axes[0].set_ylabel("bearing contact force (kN)")
     return figure
+
+
+class Overlay(NamedTuple):
+    """The same channel of A and B, some samples around the one at ``marked`` s."""
+
+    title: str
+    channel: str
+    a: Samples
+    b: NDArray[np.float64]  # shape (n,)
+    marked: float
+
+
+@styled
+def divergence(
+    envelope: Envelope, differences: Mapping[str, Difference], interval: float, overlays: Sequence[Overlay]
+) -> Figure:
+    """Where two recordings part: |A - B| of some channels over the time compared, and A and B close by.
+
+    ``envelope`` holds |A - B|, ``differences`` the channels to show, each of which has one; ``interval`` is
+    the sample interval in s.
+    """
+    heights = (1.7 * len(differences) + 0.6, 4.4)
+    figure = Figure(figsize=(10.0, sum(heights)), layout="constrained")
+    parts = figure.subfigures(2, 1, squeeze=False, height_ratios=heights)
+    above, below = parts[:, 0]
+    axes = above.subplots(len(differences), 1, sharex=True, squeeze=False)[:, 0]
+    for axis, (name, found) in zip(axes, differences.items(), strict=True):
+        _growth(axis, envelope, name, found, interval)
+    axes[0].set_title("|A - B|, the greatest in every stretch of time")
+    axes[-1].set_xlabel("simulated time (s)")
+    above.align_ylabels(axes)
+    columns = below.subplots(2, len(overlays), sharex="col", squeeze=False, height_ratios=(3, 2)).T
+    for (values, apart), overlay in zip(columns, overlays, strict=True):
+        _overlaid(values, apart, overlay)
+    columns[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=2, borderaxespad=0.0)
+    below.align_ylabels()
+    return figure
+
+
+def _growth(axis: Axes, envelope: Envelope, name: str, found: Difference, interval: float) -> None:
+    """|A - B| of one channel on a logarithmic axis, which leaves out where it is 0."""
+    greatest = envelope.bounds(name)[1]
+    axis.semilogy(
+        envelope.time,
+        np.where(greatest > 0.0, greatest, np.nan),
+        color=palette.BLUE,
+        marker=".",
+        markersize=2.0,
+        linewidth=0.8,
+        label="|A - B|",
+    )
+    if found.scale > 0.0:
+        axis.axhline(
+            found.scale,
+            color=palette.GREY,
+            linewidth=0.9,
+            linestyle="--",
+            label=f"RMS of A\n{found.scale:.3g}",
+        )
+    if found.first is not None:
+        first = found.first * interval
+        axis.axvline(
+            first, color=palette.ORANGE, linewidth=1.1, linestyle=":", label=f"first differs\n{first:.9g} s"
+        )
+    axis.set_xlim(*_widened(float(envelope.time[0]), float(envelope.time[-1])))
+    axis.set_ylabel(_with_unit(name))
+    axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.05), handlelength=1.6)
+
+
+def _widened(first: float, last: float) -> tuple[float, float]:
+    room = 0.01 * (last - first) or 1e-6
+    return first - room, last + room
+
+
+def _with_unit(name: str) -> str:
+    unit = UNITS[name]
+    return f"{name}\n({unit})" if unit else name
+
+
+def _overlaid(values: Axes, apart: Axes, overlay: Overlay) -> None:
+    """A and B over each other, and what is between them below."""
+    milliseconds = 1e3 * (overlay.a.time - overlay.marked)
+    a, b = overlay.a[overlay.channel], overlay.b
+    scale, unit = (MICRO, "µm") if UNITS[overlay.channel] == "m" else (1.0, UNITS[overlay.channel])
+    name = "DTE" if overlay.channel == "dte" else overlay.channel
+    # B is seen inside A where they are the same.
+    values.plot(milliseconds, scale * a, color=palette.SKY, linewidth=4.0, label="A")
+    values.plot(milliseconds, scale * b, ".-", color=palette.ORANGE, linewidth=0.9, markersize=3.0, label="B")
+    values.set_ylabel(f"{name} ({unit})" if unit else name)
+    values.set_title(overlay.title)
+    apart.plot(milliseconds, scale * (a - b), ".-", color=palette.BLUE, linewidth=0.9, markersize=3.0)
+    apart.set_ylabel(f"A - B ({unit})" if unit else "A - B")
+    apart.set_xlabel(f"time after {overlay.marked:.9g} s (ms)")
+    for axis in (values, apart):
+        axis.axvline(0.0, color=palette.ORANGE, linewidth=1.1, linestyle=":")
+        axis.margins(x=0.01)

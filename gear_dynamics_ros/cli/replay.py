@@ -8,6 +8,8 @@ from collections.abc import Sequence
 
 from gear_dynamics_ros import recording, replay
 from gear_dynamics_ros.cli.common import FAILURE, Progress, guarded
+from gear_dynamics_ros.cli.replay_diff import add_diff
+from gear_dynamics_ros.cli.replay_export import add_export
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -23,6 +25,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     for verb in (info, verify):
         verb.add_argument("bag", metavar="BAG", help="recording: a folder or a single .mcap file")
+    add_export(verbs)
+    add_diff(verbs)
     return guarded(lambda arguments: int(arguments.command(arguments)), parser, argv)
 
 

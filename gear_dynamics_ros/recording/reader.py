@@ -178,8 +178,8 @@ class Recording:
         recording does not cover is left out. Raises UsageError on a channel that is not there, GearboxError
         where samples are missing.
         """
-        first, beyond = self._clip(start, end)
-        names, columns = self._columns(channels)
+        first, beyond = self.clip(start, end)
+        names, columns = self.columns(channels)
         rows = self._gather(first, beyond, columns, len(names))
         return Samples(first, self.parameters.solver.sample_interval, names, rows)
 
@@ -191,8 +191,13 @@ class Recording:
         rows: int = BLOCK_SAMPLES,
     ) -> Iterator[Samples]:
         """The same in pieces of at least ``rows`` samples, and the rest."""
-        first, beyond = self._clip(start, end)
-        names, columns = self._columns(channels)
+        return self.pieces(*self.clip(start, end), channels, rows)
+
+    def pieces(
+        self, first: int, beyond: int, channels: Sequence[str] | None = None, rows: int = BLOCK_SAMPLES
+    ) -> Iterator[Samples]:
+        """``blocks`` of the samples ``first`` to before ``beyond``, which the recording must cover."""
+        names, columns = self.columns(channels)
         interval = self.parameters.solver.sample_interval
         waiting: list[NDArray[np.float64]] = []
         held = 0
@@ -276,6 +281,35 @@ class Recording:
             raise GearboxError(f"{self.path}: the time {time_ns} ns is that of no sample")
         return sample
 
+    def clip(self, start: float | None, end: float | None) -> tuple[int, int]:
+        """The samples [first, beyond) at times in [start, end), as far as there are any.
+
+        Raises UsageError on a time that is not finite.
+        """
+        first = self.first_sample if start is None else max(self.at(start), self.first_sample)
+        beyond = self.end_sample if end is None else min(self.at(end), self.end_sample)
+        return first, max(first, beyond)
+
+    def at(self, time: float) -> int:
+        """Index of the first sample at or after ``time`` s. Raises UsageError if it is not finite."""
+        if not math.isfinite(time):
+            raise UsageError(f"the time {time} s is not finite: give a number of seconds")
+        # A sample's own time must give that sample, rounded as it is, days after the start too.
+        return math.ceil(round(time * 1e9 / self.sample_interval_ns, 4))
+
+    def columns(self, channels: Sequence[str] | None) -> tuple[tuple[str, ...], list[int] | slice]:
+        """Names of the ``channels`` (default: all), and where they are in a row of the waveform.
+
+        Raises UsageError on a channel that is not there.
+        """
+        known = self.channel_names
+        if channels is None:
+            return known, slice(None)
+        for name in channels:
+            if name not in known:
+                raise UsageError(f"there is no channel '{name}' in {self.path}: it has {', '.join(known)}")
+        return tuple(channels), [known.index(name) for name in channels]
+
     def actions(self, number: int) -> list[tuple[int, Event | Commands]]:
         """What acted on the model in part ``number``, by sample and in order; not what it only repeats."""
         part = self.parts[number]
@@ -284,27 +318,6 @@ class Recording:
         actions.extend(self._command(data) for data in self._latched_in(number, "applied_command"))
         # Commands act with the first sample of a chunk, after what happened before it.
         return sorted((action for action in actions if action[0] >= part.first_sample), key=lambda a: a[0])
-
-    def _clip(self, start: float | None, end: float | None) -> tuple[int, int]:
-        """The samples [first, beyond) at times in [start, end), as far as there are any."""
-        first = self.first_sample if start is None else max(self._at(start), self.first_sample)
-        beyond = self.end_sample if end is None else min(self._at(end), self.end_sample)
-        return first, max(first, beyond)
-
-    def _at(self, time: float) -> int:
-        """Index of the first sample at or after ``time`` s, to the picosecond."""
-        if not math.isfinite(time):
-            raise UsageError(f"the time {time} s is not finite: give a number of seconds")
-        return math.ceil(round(time * 1e9, 3) / self.sample_interval_ns)
-
-    def _columns(self, channels: Sequence[str] | None) -> tuple[tuple[str, ...], list[int] | slice]:
-        known = self.channel_names
-        if channels is None:
-            return known, slice(None)
-        for name in channels:
-            if name not in known:
-                raise UsageError(f"there is no channel '{name}' in {self.path}: it has {', '.join(known)}")
-        return tuple(channels), [known.index(name) for name in channels]
 
     def _gather(self, first: int, beyond: int, columns: list[int] | slice, width: int) -> NDArray[np.float64]:
         rows = np.empty((max(beyond - first, 0), width))

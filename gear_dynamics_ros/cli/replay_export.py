@@ -1,0 +1,63 @@
+"""``replay export BAG --output FILE``: a recording's tables for other programs."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from gear_dynamics_ros import recording
+from gear_dynamics_ros.cli.common import Progress
+from gear_dynamics_ros.recording import tables
+from gear_dynamics_ros.recording.export import export
+from gear_dynamics_ros.recording.table_files import FORMATS
+
+
+def add_export(verbs: Any) -> None:
+    """Add the verb to argparse's subparsers."""
+    parser = verbs.add_parser(
+        "export",
+        help="write a table of a recording as Parquet, CSV or NumPy",
+        description="Write a table of a recording to a new file, every number to the bit. The waveform has "
+        "a row for each sample: its index and simulated time, then the channels.",
+    )
+    parser.add_argument("bag", metavar="BAG", help="recording: a folder or a single .mcap file")
+    parser.add_argument("--output", type=Path, required=True, metavar="FILE", help="file to make")
+    parser.add_argument("--format", choices=tuple(FORMATS), help="default: by the suffix of FILE")
+    parser.add_argument("--table", choices=tables.NAMES, default=tables.WAVEFORM, help="default: waveform")
+    parser.add_argument(
+        "--channels", metavar="NAME,...", help="columns of the waveform beside sample and time (default: all)"
+    )
+    parser.add_argument(
+        "--from", dest="start", type=float, metavar="S", help="from this simulated time on, s"
+    )
+    parser.add_argument("--to", dest="end", type=float, metavar="S", help="to before this simulated time, s")
+    parser.set_defaults(command=export_bag)
+
+
+def export_bag(arguments: argparse.Namespace) -> int:
+    """Export and say what was written."""
+    bag = recording.open(arguments.bag)
+    first, beyond = bag.clip(arguments.start, arguments.end)
+    channels = None if arguments.channels is None else arguments.channels.split(",")
+    with Progress("exported", beyond - first) as progress:
+        written = export(
+            bag,
+            arguments.output,
+            arguments.table,
+            format=arguments.format,
+            channels=channels,
+            start=arguments.start,
+            end=arguments.end,
+            progress=lambda reached: progress(max(reached - first, 0)),
+        )
+    if not bag.complete:
+        end = bag.end_sample * bag.sample_interval_ns / 1e9
+        print(
+            f"replay: warning: {bag.path} is broken off: what is readable, up to {end:.9g} s, was exported",
+            file=sys.stderr,
+        )
+    size = f"{written.size / 1e6:.1f} MB" if written.size >= 1e6 else f"{written.size / 1e3:.1f} kB"
+    print(f"{arguments.output}: {written.rows} rows of {written.columns} columns, {size}")
+    return 0

@@ -1,0 +1,180 @@
+"""Exports a table of a recording to a file, which is there whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO, Final, NamedTuple
+
+from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.recording import tables
+from gear_dynamics_ros.recording.reader import Recording
+from gear_dynamics_ros.recording.table_files import FORMATS, Maker
+from gear_dynamics_ros.recording.tables import Table
+
+PARTIAL: Final = ".part"
+
+
+class Exported(NamedTuple):
+    """What an export wrote."""
+
+    rows: int
+    columns: int
+    size: int  # bytes
+
+
+def export(
+    recording: Recording,
+    path: Path,
+    table: str = "waveform",
+    *,
+    format: str | None = None,
+    channels: Sequence[str] | None = None,
+    start: float | None = None,
+    end: float | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Exported:
+    """Write ``table``, one of tables.NAMES, at times in [start, end) s to a new file at ``path``.
+
+    ``format`` is one of FORMATS, by default the suffix of ``path``; ``channels`` are those of the waveform.
+    Holds a few blocks of rows at a time. The rows go to ``path`` with ``.part`` behind its name, which is
+    renamed when all of it is on the disk and removed if anything fails. ``progress`` is called with the
+    number of samples done. Raises UsageError if the file exists or the request can't be met, GearboxError
+    if the recording is spoilt or the file can't be written.
+    """
+    make = FORMATS[format or _suffix(path)]
+    chosen = _select(recording, table, channels, start, end)
+    _require_free(path)
+    with _partial(path) as stream:
+        rows = _write(stream, path, chosen, make, _about(recording, table), progress)
+    return Exported(rows, len(chosen.columns), path.stat().st_size)
+
+
+def _suffix(path: Path) -> str:
+    suffix = path.suffix.removeprefix(".")
+    if suffix not in FORMATS:
+        raise UsageError(
+            f"the suffix of '{path}' names no format: end it in .{', .'.join(FORMATS)}, or name the format"
+        )
+    return suffix
+
+
+def _select(
+    recording: Recording,
+    table: str,
+    channels: Sequence[str] | None,
+    start: float | None,
+    end: float | None,
+) -> Table:
+    if table == tables.WAVEFORM:
+        return tables.waveform(recording, start, end, channels)
+    if channels is not None:
+        raise UsageError(
+            f"channels are columns of the table {tables.WAVEFORM}, not of {table}: leave them out"
+        )
+    return tables.OTHERS[table](recording, start, end)
+
+
+def _about(recording: Recording, table: str) -> dict[str, str]:
+    """What a file that has room for it says of its origin."""
+    return {
+        "table": table,
+        "recording": recording.path.name,
+        "version": recording.version,
+        "kernel_hash": recording.kernel_hash,
+        "node": recording.node,
+        "epoch_ns": str(recording.epoch_ns),
+        "sample_interval_ns": str(recording.sample_interval_ns),
+        "parameters": recording.parts[0].parameters,
+    }
+
+
+def _write(
+    stream: BinaryIO,
+    path: Path,
+    table: Table,
+    make: Maker,
+    about: Mapping[str, str],
+    progress: Callable[[int], None] | None,
+) -> int:
+    """Write the whole table; returns the number of rows."""
+    with _naming(path):
+        file = make(stream, table.columns, about)
+    rows = 0
+    try:
+        for block in table.blocks:
+            with _naming(path):
+                file.write(block.rows)
+            rows += len(block.rows)
+            if progress is not None:
+                progress(block.beyond)
+        with _naming(path):
+            file.finish()
+    except BaseException:
+        file.abandon()
+        raise
+    return rows
+
+
+@contextmanager
+def _partial(path: Path) -> Iterator[BinaryIO]:
+    """A file beside ``path`` that takes its place at the end, or is removed when an exception comes."""
+    part = path.with_name(path.name + PARTIAL)
+    stream = _create(part)
+    try:
+        yield stream
+        with _naming(path):
+            stream.flush()
+            os.fsync(stream.fileno())
+            stream.close()
+        _require_free(path)
+        with _naming(path):
+            part.rename(path)
+            _sync_folder(path.parent)
+    except BaseException:
+        with suppress(OSError):  # of writing what the stream still holds, which is thrown away
+            stream.close()
+        part.unlink(missing_ok=True)
+        raise
+
+
+def _create(part: Path) -> BinaryIO:
+    try:
+        return part.open("xb")
+    except FileExistsError:
+        raise UsageError(
+            f"'{part}' is there: another export is at work on it, or was killed: then remove it"
+        ) from None
+    except FileNotFoundError:
+        raise UsageError(
+            f"the folder '{part.parent}' does not exist: make it or choose another place"
+        ) from None
+    except OSError as error:
+        raise UsageError(f"can't make '{part}': {error.strerror}: choose a writable place") from error
+
+
+def _require_free(path: Path) -> None:
+    if os.path.lexists(path):
+        raise UsageError(f"'{path}' exists already and is not overwritten: choose another name")
+
+
+def _sync_folder(folder: Path) -> None:
+    """Bring a new name in ``folder`` to the disk."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Failures of writing say which file it was."""
+    try:
+        yield
+    except OSError as error:
+        raise GearboxError(
+            f"can't write '{path}': {error.strerror or error}: make room or choose another place"
+        ) from error
