@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from std_msgs.msg import Float64
 
 from gear_dynamics_ros.engine import Engine
-from gear_dynamics_ros.messages import JOINT_STATE, deserialize
+from gear_dynamics_ros.messages import deserialize
 from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.topics import JOINT_STATE
 
 COMMANDS = {"5e-4": 1000, "2e-3": 1000, "1e-2": 250}  # by chunk in s
 LATENCY_CHUNK = "2e-3"

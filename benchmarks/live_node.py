@@ -24,9 +24,10 @@ from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.messages import ARRAY, TOPICS, resolve, serialize, waveform_message
+from gear_dynamics_ros.messages import serialize, waveform_message
 from gear_dynamics_ros.node_topics import message_type, quality
 from gear_dynamics_ros.signals import CHANNEL_NAMES
+from gear_dynamics_ros.topics import ARRAY, TOPICS, resolve
 
 PARAMETERS = Path(__file__).resolve().parent.parent / "config" / "gearbox.yaml"
 # On Linux, domains above 101 share their UDP ports with the ephemeral range.

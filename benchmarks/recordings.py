@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from gear_dynamics_ros.recording.recover import recover
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
@@ -21,13 +22,13 @@ from speed import parameters_of
 
 from gear_dynamics_ros import recording, replay
 from gear_dynamics_ros.engine import Engine
-from gear_dynamics_ros.messages import TOPICS, Encoder, Record, resolve
+from gear_dynamics_ros.messages import Encoder, Record
 from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.recording import layout
-from gear_dynamics_ros.recording.recover import recover
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.recordings import RecorderSink
 from gear_dynamics_ros.run import Run
+from gear_dynamics_ros.topics import TOPICS, resolve
 
 SHARE_AIMED_AT = 0.25  # of a core, at 100 kHz and all channels
 VERIFY_AIMED_AT = 3.0  # times real time, improved model, two cores

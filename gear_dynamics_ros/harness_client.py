@@ -27,8 +27,9 @@ from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.harness.player import Player
 from gear_dynamics_ros.harness.profile import Profile
 from gear_dynamics_ros.harness.results import Result, unreached
-from gear_dynamics_ros.messages import TOPICS, resolve, waveform_samples
+from gear_dynamics_ros.messages import waveform_samples
 from gear_dynamics_ros.node_topics import quality
+from gear_dynamics_ros.topics import TOPICS, resolve
 
 # s of wall time after which a value that stays is said again: a gearbox may have a command timeout.
 REPEAT = 0.1

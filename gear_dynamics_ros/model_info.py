@@ -7,9 +7,10 @@ from collections.abc import Iterable
 
 from gear_dynamics_ros import __version__
 from gear_dynamics_ros.engine import kernel_hash
-from gear_dynamics_ros.messages import TOPICS, bearing_frame, resolve
+from gear_dynamics_ros.messages import bearing_frame
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.signals import CHANNELS, ENERGIES, IMPACTS, PACE, Channel
+from gear_dynamics_ros.topics import TOPICS, resolve
 
 
 def describe(parameters: Parameters, epoch_ns: int, node: str) -> str:

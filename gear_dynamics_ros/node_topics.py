@@ -15,8 +15,9 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.messages import TOPICS, Record, Topic, deserialize
+from gear_dynamics_ros.messages import Record, deserialize
 from gear_dynamics_ros.signals import Chunk
+from gear_dynamics_ros.topics import TOPICS, Topic
 
 FLOAT_COMMANDS = {
     "drive_torque_command": "drive_torque",

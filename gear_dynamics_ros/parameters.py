@@ -23,6 +23,7 @@ from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.physics.surface import LARGEST_ORDER
 from gear_dynamics_ros.ros_yaml import SMALLEST_NORMAL, Tree, parse_yaml, resolve, scalar_text
 from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN
+from gear_dynamics_ros.topics import TOPICS
 
 Value: TypeAlias = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
 
@@ -448,6 +449,12 @@ class Recording:
         minimum=0.0,
         maximum=1e9,
     )
+    topics: tuple[str, ...] = spec(
+        tuple(TOPICS),
+        "topics to record, by their short names; commands in force and events are always among them",
+        choices=tuple(TOPICS),
+        length=(1, len(TOPICS)),
+    )
     minimum_free: int = spec(
         10_000_000, "room on the disk below which recording stops", unit="B", minimum=0, maximum=1 << 50
     )
@@ -622,6 +629,8 @@ def reference() -> str:
         default, allowed = f"`{_text(row.default)}`", row.limits
         if row.choices == tuple(COLUMN):
             default, allowed = "all but the energies", "names of channels and energies"
+        if row.choices == tuple(TOPICS):
+            default, allowed = "all", f"names, {', '.join(row.choices)}"
         if row.length:
             allowed = f"{row.length[0]} to {row.length[1]} entries, {allowed}"
         runtime = "yes" if row.runtime else ""

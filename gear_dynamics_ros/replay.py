@@ -23,12 +23,13 @@ import numpy as np
 from gear_dynamics_ros import checkpoints, origin
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.messages import Encoder, RowReader, is_rows
+from gear_dynamics_ros.messages import Encoder, RowReader
 from gear_dynamics_ros.origin import Origin
 from gear_dynamics_ros.parameters import Parameters, differences, parse, updated
 from gear_dynamics_ros.recording.reader import Event, RecordedChunk, Recording
 from gear_dynamics_ros.run import CHANGE, RESET, RESTORE
 from gear_dynamics_ros.signals import Commands, Status
+from gear_dynamics_ros.topics import is_rows
 
 # Stretches for each processor: when one is done early, there is another.
 SHARES: Final = 4
@@ -95,9 +96,14 @@ def verify(
     a chunk makes, the waveform above all, and every stored state on the way must come out to the same bytes.
     ``progress`` is called with the number of samples compared so far.
 
-    Raises UsageError if the recording does not hold ``start``, GearboxError where it can't be read on.
+    Raises UsageError if the recording does not hold ``start``, GearboxError where it can't be read on or
+    lacks the waveform.
     """
     began = time.perf_counter()
+    if "waveform" not in recording.recorded:
+        raise GearboxError(
+            f"{recording.path} holds no waveform to compare: add waveform to recording.topics when recording"
+        )
     legs = _legs_from(list(_legs(recording)), recording, start)
     stop = Flag()
     count = _Counter(progress)
@@ -221,12 +227,13 @@ def _run_leg(
     engine: Engine, encoder: Encoder, recording: Recording, leg: _Leg, stop: Flag, count: _Counter
 ) -> _Tally:
     actions = deque(leg.actions)
+    kept = recording.recorded
     samples = messages = 0
     for recorded in recording.recorded_chunks(leg.part, leg.first, leg.end):
         if stop.is_set():
             return _Tally(samples, messages)
         _act(engine, actions, recorded.first)
-        difference = _compare_chunk(engine, encoder, recorded)
+        difference = _compare_chunk(engine, encoder, kept, recorded)
         if difference is not None:
             return _Tally(samples, messages, difference=difference)
         samples += recorded.samples
@@ -263,15 +270,17 @@ def _repeat(engine: Engine, event: Event) -> None:
         engine.resume(event.checkpoint)
 
 
-def _compare_chunk(engine: Engine, encoder: Encoder, recorded: RecordedChunk) -> Difference | None:
-    """Make the chunk, and compare its messages."""
+def _compare_chunk(
+    engine: Engine, encoder: Encoder, kept: frozenset[str], recorded: RecordedChunk
+) -> Difference | None:
+    """Make the chunk, and compare its messages on the topics ``kept``."""
     if engine.sample != recorded.first:
         return Difference(engine.sample, "waveform", f"nothing before sample {recorded.first}", "samples")
     try:
         chunk = engine.advance(recorded.samples)
     except GearboxError as error:
         return Difference(recorded.first, "waveform", f"{recorded.samples} samples", f"none: {error}")
-    made = {record.topic: record.data for record in encoder.chunk(chunk)}
+    made = {record.topic: record.data for record in encoder.chunk(chunk) if record.topic in kept}
     # The waveform tells more than what is taken from it.
     for topic in sorted(made.keys() | recorded.messages.keys(), key=lambda topic: topic != "waveform"):
         difference = _compare_message(recorded, topic, made.get(topic))

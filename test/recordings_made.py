@@ -11,12 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gear_dynamics_ros.engine import Engine
-from gear_dynamics_ros.messages import TOPICS, Encoder, Record, message_class, resolve, serialize, stamp
+from gear_dynamics_ros.messages import Encoder, Record, message_class, serialize, stamp
 from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.recordings import RecorderSink
 from gear_dynamics_ros.run import PAUSE, RESUME, Run
 from gear_dynamics_ros.signals import PACE, Chunk, Commands
+from gear_dynamics_ros.topics import TOPICS, resolve
 
 EPOCH_NS = 1_700_000_000_123_456_789
 CHUNKS = 60

@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 
 from gear_dynamics_ros.messages import (
-    TOPICS,
     Encoder,
     applied_commands,
     deserialize,
     joint_state,
     message_class,
-    resolve,
     serialize,
     stamp,
     stamp_ns,
@@ -35,6 +33,7 @@ from gear_dynamics_ros.signals import (
     Counters,
     Status,
 )
+from gear_dynamics_ros.topics import TOPICS, resolve
 
 EPOCH_NS = 1_700_000_000_123_456_789
 COMMANDS = Commands(drive_torque=30.0, load_torque=-4.5, speed=1000.0)

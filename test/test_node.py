@@ -34,10 +34,10 @@ from std_srvs.srv import SetBool, Trigger
 
 from gear_dynamics_ros import recording, replay
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.messages import TOPICS, resolve
 from gear_dynamics_ros.node_topics import COMMANDS, message_type, quality
 from gear_dynamics_ros.parameters import specifications
 from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN, PACE
+from gear_dynamics_ros.topics import TOPICS, resolve
 
 CHUNK = 200
 CHUNK_NS = 2_000_000

@@ -15,8 +15,9 @@ import pytest
 from recordings_made import EPOCH_NS, Made, full_name, leaves, record_everything, sequences
 
 from gear_dynamics_ros import __version__
-from gear_dynamics_ros.messages import TOPICS, Record, deserialize
+from gear_dynamics_ros.messages import Record, deserialize
 from gear_dynamics_ros.recording import layout
+from gear_dynamics_ros.topics import TOPICS
 
 READERS = Path(__file__).parent / "node"
 OLDEST_NODE = 18

@@ -242,3 +242,24 @@ def test_a_ring_forgets(tmp_path: Path) -> None:
         run.step()
         sizes.append(ring.size)
     assert max(sizes[20:]) < 8 * 50_000
+
+
+def test_a_choice_of_topics_verifies_as_far_as_it_goes(tmp_path: Path) -> None:
+    made = Recorded(tmp_path / "bag", **{"recording.topics": ["waveform", "energy"]})
+    made.steps(5)
+    made.run.close()
+    bag = recording.open(tmp_path / "bag")
+    names = {topic.name.rpartition("/")[2]: topic.messages for topic in bag.topics}
+    assert names == {"waveform": 5, "energy": 5, "applied": 1, "event": 1}
+    result = replay.verify(bag)
+    assert (result.difference, result.messages, result.samples) == (None, 10, 5 * CHUNK)
+
+
+def test_without_the_waveform_there_is_nothing_to_verify(tmp_path: Path) -> None:
+    made = Recorded(tmp_path / "bag", **{"recording.topics": ["dte"]})
+    made.steps(5)
+    made.run.close()
+    bag = recording.open(tmp_path / "bag")
+    assert len(list(bag.messages("dte"))) == 5
+    with pytest.raises(GearboxError, match=r"no waveform to compare: add waveform to recording\.topics"):
+        replay.verify(bag)

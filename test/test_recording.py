@@ -26,7 +26,7 @@ from rosbags.rosbag2 import Reader
 from gear_dynamics_ros import __version__, recording
 from gear_dynamics_ros.engine import kernel_hash
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.messages import TOPICS, Encoder, resolve
+from gear_dynamics_ros.messages import Encoder
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.recording import mcap_writer, writer
 from gear_dynamics_ros.recording.writer import Recorder
@@ -39,6 +39,7 @@ from gear_dynamics_ros.signals import (
     Counters,
     Status,
 )
+from gear_dynamics_ros.topics import TOPICS, resolve
 
 COUNTERS = Counters(0, 0, 0, 0, 0)
 ROWS = 200

@@ -9,10 +9,11 @@ import pytest
 
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.messages import TOPICS, Encoder, applied_commands, deserialize, waveform_samples
+from gear_dynamics_ros.messages import Encoder, applied_commands, deserialize, waveform_samples
 from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.run import Run, advice
 from gear_dynamics_ros.signals import Commands
+from gear_dynamics_ros.topics import TOPICS
 
 EPOCH = 1_700_000_000_000_000_000
 CHUNK = 200

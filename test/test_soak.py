@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gear_dynamics_ros.messages import ARRAY, serialize, waveform_message
+from gear_dynamics_ros.messages import serialize, waveform_message
 from gear_dynamics_ros.signals import CHANNEL_NAMES
+from gear_dynamics_ros.topics import ARRAY
 
 SOAK = Path(__file__).resolve().parent.parent / "benchmarks" / "soak.py"
 SAMPLE_RATE = 100_000

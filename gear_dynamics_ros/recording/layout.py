@@ -10,7 +10,9 @@ from typing import Any, Final, NamedTuple
 
 import yaml
 
-from gear_dynamics_ros.messages import TYPESTORE, Topic
+from gear_dynamics_ros.messages import TYPESTORE
+from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.topics import TOPICS, Topic, resolve
 
 METADATA_FILE: Final = "metadata.yaml"
 PARAMETERS_ATTACHMENT: Final = "parameters.yaml"
@@ -20,6 +22,8 @@ RUN_METADATA: Final = "gear_dynamics_ros"
 ROSBAG2_METADATA: Final = "rosbag2"
 ROSBAG2_KEY: Final = "serialized_metadata"
 ROS_DISTRO: Final = "jazzy"
+# Without these nothing could be run again.
+ALWAYS_RECORDED: Final = ("applied_command", "event")
 
 _INFORMATION = "rosbag2_bagfile_information"
 _CHECKPOINT = re.compile(r"checkpoint_(\d+)\.json")
@@ -66,6 +70,12 @@ class RunMetadata(NamedTuple):
             sample_interval_ns=int(values["sample_interval_ns"]),
             **{name: values.get(name, "") for name in ("processor", "compiler", "libraries")},
         )
+
+
+def recorded_topics(parameters: Parameters, node: str) -> dict[str, tuple[str, Topic]]:
+    """Full name and topic, by key in TOPICS, of each that is recorded."""
+    wanted = {*parameters.recording.topics, *ALWAYS_RECORDED}
+    return {key: (resolve(topic, node), topic) for key, topic in TOPICS.items() if key in wanted}
 
 
 def part_name(folder: Path, number: int) -> str:

@@ -14,20 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.messages import (
-    OF_A_CHUNK,
-    TOPICS,
-    RowReader,
-    applied_commands,
-    deserialize,
-    resolve,
-    stamp_ns,
-)
+from gear_dynamics_ros.messages import RowReader, applied_commands, deserialize, stamp_ns
 from gear_dynamics_ros.parameters import Parameters, parse
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.parts import PartFile, Stored, open_parts
 from gear_dynamics_ros.samples import Samples
 from gear_dynamics_ros.signals import IMPACTS, Commands
+from gear_dynamics_ros.topics import OF_A_CHUNK, TOPICS, resolve
 
 BLOCK_SAMPLES: Final = 20_000
 
@@ -118,14 +111,21 @@ class Recording:
 
     @property
     def topics(self) -> list[TopicCount]:
-        """All topics with their message counts."""
+        """The topics recorded, with their message counts."""
         counts: Counter[str] = Counter()
         for part in self.parts:
             counts.update(part.found.topic_counts())
         return [
-            TopicCount(self._names[key], topic.type, counts[self._names[key]])
-            for key, topic in TOPICS.items()
+            TopicCount(name, TOPICS[key].type, counts[name])
+            for key, name in self._names.items()
+            if name in counts
         ]
+
+    @property
+    def recorded(self) -> frozenset[str]:
+        """Keys in TOPICS of what was recorded."""
+        names = {topic.name for topic in self.topics}
+        return frozenset(key for key, name in self._names.items() if name in names)
 
     @property
     def channel_names(self) -> tuple[str, ...]:

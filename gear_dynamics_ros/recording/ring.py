@@ -10,9 +10,11 @@ from typing import Final, NamedTuple
 
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.messages import TOPICS, Record
+from gear_dynamics_ros.messages import Record
+from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.writer import Recorder, State
 from gear_dynamics_ros.signals import Chunk
+from gear_dynamics_ros.topics import TOPICS
 
 # The ring forgets a segment at a time: it holds at most an eighth more than it must.
 SEGMENTS: Final = 8
@@ -63,6 +65,7 @@ class Ring:
         self._engine = engine
         solver = engine.parameters.solver
         self._samples = round(engine.parameters.recording.ring_duration * 1e9 / solver.sample_interval_ns)
+        self._wanted = layout.recorded_topics(engine.parameters, "").keys()
         self._latched: dict[str, bytes] = {}
         self._segments: deque[_Segment] = deque()
         self._begin_segment()
@@ -80,9 +83,10 @@ class Ring:
     def write(self, chunk: Chunk | None, records: Sequence[Record]) -> None:
         """Keep the messages, and forget those that are too old."""
         segment = self._segments[-1]
-        segment.records.extend(records)
-        segment.size += sum(len(record.data) for record in records)
-        for record in records:
+        wanted = [record for record in records if record.topic in self._wanted]
+        segment.records.extend(wanted)
+        segment.size += sum(len(record.data) for record in wanted)
+        for record in wanted:
             if TOPICS[record.topic].latched:
                 self._latched[record.topic] = record.data
         if chunk is not None and (self._engine.sample - segment.sample) * SEGMENTS >= self._samples:

@@ -19,13 +19,14 @@ from typing import Any, Final, NamedTuple
 from gear_dynamics_ros import __version__, checkpoints
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.files import replace_text, sync_folder
-from gear_dynamics_ros.messages import TOPICS, Record, Topic, resolve
+from gear_dynamics_ros.messages import Record
 from gear_dynamics_ros.origin import present
 from gear_dynamics_ros.parameters import Parameters, dump
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.layout import Part, RunMetadata
 from gear_dynamics_ros.recording.mcap_writer import McapWriter
 from gear_dynamics_ros.threads import name_thread
+from gear_dynamics_ros.topics import TOPICS, Topic
 
 # Three seconds of every channel at 100 kHz: longer than a disk usually pauses.
 QUEUE_BYTES: Final = 64 << 20
@@ -94,7 +95,7 @@ class Recorder:
             sample_interval_ns=parameters.solver.sample_interval_ns,
             **origin._asdict(),
         )
-        self._topics = {key: (resolve(topic, node), topic) for key, topic in TOPICS.items()}
+        self._topics = layout.recorded_topics(parameters, node)
         self._sequences: Counter[str] = Counter()
         self._latched: dict[str, bytes] = {}
         self._error: str | None = None
@@ -150,8 +151,9 @@ class Recorder:
             return 0 if self._splits else self._part.size
 
     def write(self, records: Sequence[Record]) -> None:
-        """Hand over messages, in order; waits while the queue is full."""
-        self._put(records, len(records), sum(len(record.data) for record in records))
+        """Hand over messages, in order; waits while the queue is full. Those not recorded are left out."""
+        wanted = [record for record in records if record.topic in self._topics]
+        self._put(wanted, len(wanted), sum(len(record.data) for record in wanted))
 
     def split(self, start: Mapping[str, Any], parameters: Parameters) -> None:
         """Go on in a new file, complete in itself, from the checkpoint ``start`` on.

@@ -1,0 +1,150 @@
+"""The table of topics: name, type, quality of service and content of each."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+
+class Topic(NamedTuple):
+    """One topic of the node: its name, type, quality of service and content."""
+
+    name: str  # "~/..." below the node, "/..." absolute, else in the node's namespace
+    type: str
+    reliable: bool
+    depth: int
+    latched: bool
+    help: str
+
+
+FLOAT64 = "std_msgs/msg/Float64"
+INT8 = "std_msgs/msg/Int8"
+STRING = "std_msgs/msg/String"
+JOINT_STATE = "sensor_msgs/msg/JointState"
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+ARRAY = "std_msgs/msg/Float64MultiArray"
+CLOCK = "rosgraph_msgs/msg/Clock"
+
+# A subscriber that stalls for a second at the default 500 Hz still gets every chunk of the waveform.
+WAVEFORM_DEPTH = 500
+# A burst must not push out what another publisher commanded just before it.
+COMMAND_DEPTH = 100
+
+TOPICS: Final[dict[str, Topic]] = {
+    "drive_torque_command": Topic(
+        "~/command/drive_torque", FLOAT64, True, COMMAND_DEPTH, False, "drive torque to apply, N m"
+    ),
+    "load_torque_command": Topic(
+        "~/command/load_torque", FLOAT64, True, COMMAND_DEPTH, False, "load torque to apply, N m"
+    ),
+    "speed_command": Topic("~/command/speed", FLOAT64, True, COMMAND_DEPTH, False, "speed set-point, rad/s"),
+    "joint_command": Topic(
+        "~/command/joint",
+        JOINT_STATE,
+        True,
+        COMMAND_DEPTH,
+        False,
+        "driving: velocity = set-point rad/s, effort = drive torque N m; driven: effort = load torque N m",
+    ),
+    "joint_states": Topic(
+        "joint_states",
+        JOINT_STATE,
+        True,
+        10,
+        False,
+        "driving, driven (rad, rad/s, N m) and mesh (DTE m, its rate m/s, mesh force N)",
+    ),
+    "dte": Topic("~/dte", FLOAT64, True, 10, False, "dynamic transmission error, m"),
+    "mesh_force": Topic("~/mesh_force", FLOAT64, True, 10, False, "force along the line of action, N"),
+    "pressure_angle": Topic("~/pressure_angle", FLOAT64, True, 10, False, "working pressure angle, rad"),
+    "driving_bearing_force": Topic(
+        "~/bearing_force/driving", WRENCH, True, 10, False, "contact and film force on the driving gear, N"
+    ),
+    "driven_bearing_force": Topic(
+        "~/bearing_force/driven", WRENCH, True, 10, False, "contact and film force on the driven gear, N"
+    ),
+    "waveform": Topic(
+        "~/waveform", ARRAY, True, WAVEFORM_DEPTH, False, "every sample of the chunk, a row each; SI units"
+    ),
+    "energy": Topic(
+        "~/energy",
+        ARRAY,
+        True,
+        10,
+        False,
+        "works and losses since the start or the last reset, and stored, J",
+    ),
+    "impacts": Topic(
+        "~/impacts",
+        ARRAY,
+        True,
+        WAVEFORM_DEPTH,
+        False,
+        "a row for each bearing contact that ended in the chunk, nothing where none did; SI units",
+    ),
+    "meshing_state": Topic("~/meshing_state", INT8, True, 10, False, "1 drive flank, 0 apart, -1 back flank"),
+    "diagnostics": Topic(
+        "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", True, 10, False, "health of engine and sinks"
+    ),
+    "pacing": Topic(
+        "~/pacing",
+        ARRAY,
+        True,
+        10,
+        False,
+        "once a second: real-time factor reached, overruns, lateness, slip",
+    ),
+    "clock": Topic("/clock", CLOCK, False, 1, False, "simulated time"),
+    "applied_command": Topic(
+        "~/command/applied",
+        JOINT_STATE,
+        True,
+        1,
+        True,
+        "commands in force, stamped at the sample where they take effect; laid out like ~/command/joint",
+    ),
+    "model_info": Topic(
+        "~/model_info",
+        STRING,
+        True,
+        1,
+        True,
+        "JSON: version, kernel hash, parameters in force, columns and units, joints, frames, epoch of stamps",
+    ),
+    "event": Topic(
+        "~/event",
+        STRING,
+        True,
+        10,
+        True,
+        "JSON: sample, time (s), event, message, counters; parameters that changed, a restored checkpoint",
+    ),
+}
+
+
+# What the encoder makes of a chunk, in that order; impacts only where some ended.
+OF_A_CHUNK: Final = (
+    "joint_states",
+    "dte",
+    "mesh_force",
+    "pressure_angle",
+    "driving_bearing_force",
+    "driven_bearing_force",
+    "meshing_state",
+    "energy",
+    "impacts",
+    "waveform",
+)
+
+
+def is_rows(topic: str) -> bool:
+    """Whether the messages of the topic (key in TOPICS) are laid out like the waveform."""
+    return TOPICS[topic].type == ARRAY
+
+
+def resolve(topic: Topic, node: str = "/gearbox") -> str:
+    """Full name of a topic for the node with the full name ``node``."""
+    if topic.name.startswith("~/"):
+        return f"{node}/{topic.name[2:]}"
+    if topic.name.startswith("/"):
+        return topic.name
+    return f"{node.rpartition('/')[0]}/{topic.name}"
