@@ -32,6 +32,7 @@ POLL = 0.1  # s of wall time
 # Simulated time that one call of ~/step makes at most: a signal is heeded between two, and progress is told.
 LONGEST_STEP_NS = 200_000_000
 MOST_CHUNKS = 1_000_000  # what stepping.chunks can be
+_DOUBT = "see its log: it may have refused one, or have got one late, or somebody else commands it"
 # What this sets on the gearbox, and puts back.
 CHUNKS, PATIENCE = "stepping.chunks", "stepping.timeout"
 
@@ -100,8 +101,8 @@ class _InForce(NamedTuple):
 class _Session:
     """One play, all on the caller's thread.
 
-    A command and the step after it go to one process over one way, and the gearbox takes both in the order in
-    which they come. That it did is checked: ``~/command/applied`` names the sample at which commands came in force.
+    A command and the step after it go one way to one process, which takes them in the order in which they
+    come. That it did is checked: ``~/command/applied`` names the sample from which commands are in force.
     """
 
     def __init__(
@@ -192,12 +193,22 @@ class _Session:
         self._set({PATIENCE: min(self._timeout, specifications()[PATIENCE].maximum or self._timeout)})
         self._mark()
         self._events.clear()
-        self._succeed(self._pause, SetBool.Request(data=True), "to pause")
+        self._stand()
         # Events come in order: between two marks there is one of the pause if that changed anything.
         self._origin = self._mark()
         self._origin_ns = self._known.epoch_ns + self._origin * self._known.interval_ns
         self._found_running = any(event["event"] == PAUSE for event in self._events)
         self._heeding = True
+
+    def _stand(self) -> None:
+        request = SetBool.Request(data=True)
+        answer = self._answer(self._pause, request, "to pause")
+        if not answer.success and Reset() in self._script.moments[0].acts:
+            # A run that has ended can't be paused before a reset.
+            self._do(Reset())
+            answer = self._answer(self._pause, request, "to pause")
+        if not answer.success:
+            raise GearboxError(f"{self._name} did not pause: {_line(answer.message)}")
 
     def _mark(self) -> int:
         """The sample that the gearbox is to make next, from an event that this causes."""
@@ -262,15 +273,14 @@ class _Session:
         if not told():
             raise GearboxError(
                 f"{self._name} did not put the commands of {moment.time_ns / 1e9:.9g} s in force: "
-                f"{_text(wanted)}; see its log, a value may be out of its bounds"
+                f"{_text(wanted)}; {_DOUBT}"
             )
 
     def _strangers(self, stray: _InForce) -> str:
         seconds = (stray.stamp_ns - self._origin_ns) / 1e9
         return (
             f"{self._name} has commands in force from {seconds:.9g} s of the recording on that are not those "
-            f"of that moment: {_text(stray.commands)}; somebody else commands it, or one came late: see that "
-            "nobody else does, and play again"
+            f"of that moment: {_text(stray.commands)}; {_DOUBT}"
         )
 
     # Calls
