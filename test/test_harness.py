@@ -272,7 +272,7 @@ def test_numbers_are_read_as_ros_reads_them(tmp_path: Path) -> None:
 def test_a_reset_is_wanted_or_not() -> None:
     assert parse_profile({"duration": 1.0, "reset": True}).reset
     assert not parse_profile({"duration": 1.0}).reset
-    with pytest.raises(UsageError, match="the profile.reset is 'often', must be true or false"):
+    with pytest.raises(UsageError, match=r"the profile\.reset is 'often', must be true or false"):
         parse_profile({"duration": 1.0, "reset": "often"})
 
 
