@@ -5,30 +5,26 @@ from __future__ import annotations
 import json
 import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from types import FrameType
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import rclpy
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.context import Context
 from rclpy.duration import Duration
-from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
-from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64, Float64MultiArray, String
+from std_srvs.srv import Trigger
 
-from gear_dynamics_ros.discovery import stay_local
-from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.harness.player import Player
 from gear_dynamics_ros.harness.profile import Profile
 from gear_dynamics_ros.harness.results import Result, unreached
 from gear_dynamics_ros.messages import waveform_samples
 from gear_dynamics_ros.node_topics import quality
+from gear_dynamics_ros.ros_client import noted_signals, ros_context
 from gear_dynamics_ros.topics import TOPICS, resolve
 
 # s of wall time after which a value that stays is said again: a gearbox may have a command timeout.
@@ -60,7 +56,8 @@ def play(
     Waits ``wait`` s for the gearbox to be ready, then at most ``timeout`` s for each answer and chunk.
     SIGINT and SIGTERM break the run off; call it on the main thread. Raises UsageError on an impossible name.
     """
-    with _signals() as received, _session(profile, node, watch, received, ros_arguments) as session:
+    with noted_signals() as received, ros_context(node, ros_arguments) as context:
+        session = _Session(context, profile, node, watch, received)
         failure = ""
         try:
             session.join(wait)
@@ -69,44 +66,6 @@ def play(
         except GearboxError as error:
             failure = str(error)
         return session.outcome(failure)
-
-
-@contextmanager
-def _signals() -> Iterator[list[int]]:
-    """The signals that came, which so break nothing off by themselves: rclpy's waits here are short."""
-    received: list[int] = []
-
-    def note(number: int, frame: FrameType | None) -> None:
-        received.append(number)
-
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield received
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-@contextmanager
-def _session(
-    profile: Profile,
-    node: str,
-    watch: Callable[[Player], None],
-    received: Sequence[int],
-    ros_arguments: Sequence[str],
-) -> Iterator[_Session]:
-    stay_local()
-    context = Context()
-    try:
-        rclpy.init(args=list(ros_arguments), context=context, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # what rclpy raises on arguments it can't read
-        raise UsageError(f"ROS did not start: {' '.join(str(error).split())}") from error
-    try:
-        yield _Session(context, profile, node, watch, received)
-    except InvalidTopicNameException as error:
-        raise UsageError(f"--node is {node!r}, no name of a ROS node: give one like /gearbox") from error
-    finally:
-        context.try_shutdown()
 
 
 class _Session:
@@ -137,6 +96,7 @@ class _Session:
         self._parameters: Any = self._ros.create_client(
             SetParametersAtomically, f"{node}/set_parameters_atomically"
         )
+        self._reset: Any = self._ros.create_client(Trigger, f"{node}/reset")
         self._player: Player | None = None
         self._joined = False
         self._last_chunk = 0.0  # wall time
@@ -155,18 +115,24 @@ class _Session:
             self._spin(left)
 
     def configure(self, timeout: float) -> None:
-        """Set the profile's parameters, all or none."""
+        """Set the profile's parameters, all or none; then put the gearbox back, if the profile wants that."""
         if self._profile.parameters:
             request = SetParametersAtomically.Request()
             request.parameters = [
                 Parameter(name, value=value).to_parameter_msg()
                 for name, value in self._profile.parameters.items()
             ]
-            answer = self._answer(self._parameters.call_async(request), timeout)
+            answer = self._answer(
+                self._parameters.call_async(request), "whether it takes the parameters", timeout
+            )
             if not answer.result.successful:
                 raise GearboxError(
                     f"{self._name} refused the profile's parameters: {' '.join(answer.result.reason.split())}"
                 )
+        if self._profile.reset:
+            answer = self._answer(self._reset.call_async(Trigger.Request()), "that it was reset", timeout)
+            if not answer.success:
+                raise GearboxError(f"{self._name} was not reset: {' '.join(answer.message.split())}")
         self._joined = True
         self._last_chunk = time.monotonic()
 
@@ -190,14 +156,14 @@ class _Session:
             raise GearboxError(f"interrupted by {name} at {self._progress()}")
         self._executor.spin_once(timeout_sec=min(POLL, longest))
 
-    def _answer(self, future: Any, timeout: float) -> Any:
+    def _answer(self, future: Any, what: str, timeout: float) -> Any:
         deadline = time.monotonic() + timeout
         while not future.done():
             left = deadline - time.monotonic()
             if left <= 0.0:
                 raise GearboxError(
-                    f"{self._name} did not say within {timeout:g} s whether it takes the parameters: "
-                    "see its log, or give a longer --timeout"
+                    f"{self._name} did not say within {timeout:g} s {what}: see its log, or give a longer "
+                    "--timeout"
                 )
             self._spin(left)
         return future.result()
@@ -233,8 +199,11 @@ class _Session:
     def _settable(self) -> bool:
         return not self._profile.parameters or bool(self._parameters.service_is_ready())
 
+    def _resettable(self) -> bool:
+        return not self._profile.reset or bool(self._reset.service_is_ready())
+
     def _ready(self) -> bool:
-        return self._last_chunk > 0.0 and self._listening() and self._settable()
+        return self._last_chunk > 0.0 and self._listening() and self._settable() and self._resettable()
 
     def _absence(self, wait: float) -> str:
         if not self._senders():
@@ -248,6 +217,8 @@ class _Session:
             )
         if not self._settable():
             return f"{self._name} offers no service to set its parameters after {wait:g} s: see its log"
+        if not self._resettable():
+            return f"{self._name} offers no service to reset it after {wait:g} s: see its log"
         told = f" It said: {self._ended}." if self._ended else ""
         return (
             f"{self._name} is there, but sent no waveform for {wait:g} s: it may be starting, inactive, "

@@ -54,6 +54,12 @@ commands: {load_torque: [{at: 0.0, value: 20.0}]}
 expectations:
   - {name: load applied, every: load_torque, from: 0.5, to: 0.6, target: 20.0, tolerance: 0.0}
 """
+RESET = """
+reset: true
+commands: {load_torque: [{at: 0.1, value: 20.0}]}
+expectations:
+  - {name: load of the start state, every: load_torque, from: 0.0, to: 0.1, target: 30.0, tolerance: 0.0}
+"""
 LONG = """
 expectations:
   - {name: never reached, mean: dte, from: 0.0, to: 1000.0, minimum: -1.0}
@@ -109,6 +115,16 @@ def test_a_failed_expectation_is_named_with_its_numbers(
 def test_a_recorded_command_is_replayed(gearbox: Process, process: StartProcess, profile: Path) -> None:
     (profile.parent / "load.csv").write_text("time,load_torque\n0,12\n0.3,34\n")
     run = drive(process, profile, REPLAYED, "--wait", "60")
+    assert run.wait() == 0, run.output
+
+
+def test_a_reset_before_time_0_brings_back_the_commands_of_the_parameters(
+    gearbox: Process, process: StartProcess, profile: Path
+) -> None:
+    loaded = "duration: 0.1\ncommands: {load_torque: [{at: 0.0, value: 45.0}]}"
+    before = drive(process, profile, loaded, "--wait", "60")
+    assert before.wait() == 0, before.output
+    run = drive(process, profile, RESET)
     assert run.wait() == 0, run.output
 
 

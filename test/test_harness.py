@@ -269,6 +269,13 @@ def test_numbers_are_read_as_ros_reads_them(tmp_path: Path) -> None:
     assert load_profile(path).commands["load_torque"].value(1e-3) == 30.0
 
 
+def test_a_reset_is_wanted_or_not() -> None:
+    assert parse_profile({"duration": 1.0, "reset": True}).reset
+    assert not parse_profile({"duration": 1.0}).reset
+    with pytest.raises(UsageError, match=r"the profile\.reset is 'often', must be true or false"):
+        parse_profile({"duration": 1.0, "reset": "often"})
+
+
 @pytest.mark.parametrize("text", ["commands: [", "a: 1\na: 2\n", "\x00", "commands: !!python/name:os.system"])
 def test_text_that_is_no_profile_is_refused_in_one_line(tmp_path: Path, text: str) -> None:
     path = tmp_path / "profile.yaml"

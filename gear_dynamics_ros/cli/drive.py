@@ -10,14 +10,13 @@ from functools import partial
 from pathlib import Path
 
 from gear_dynamics_ros.cli.common import FAILURE, guarded
+from gear_dynamics_ros.cli.ros import SIGNALLED, add_gearbox, full_name, needing_ros
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.harness import junit
 from gear_dynamics_ros.harness.player import Player
 from gear_dynamics_ros.harness.profile import load_profile
 from gear_dynamics_ros.harness.results import Result, format_results, unreached
 
-ROS_PACKAGES = ("rclpy", "rcl_interfaces", "std_msgs")
-SIGNALLED = 128  # what shells add to the number of a signal
 REDRAW = 0.2  # s of wall time
 
 
@@ -39,33 +38,16 @@ def _parser() -> argparse.ArgumentParser:
         "2 on bad usage, 130 on Ctrl-C.",
     )
     parser.add_argument("profile", type=Path, metavar="PROFILE", help="YAML file, see config/profiles")
-    parser.add_argument("--node", default="/gearbox", help="full name of the gearbox (default: %(default)s)")
-    parser.add_argument(
-        "--wait",
-        type=_seconds,
-        default=20.0,
-        help="wall seconds to wait for the gearbox (default: %(default)g)",
-    )
-    parser.add_argument(
-        "--timeout",
-        type=_seconds,
-        default=10.0,
-        help="wall seconds without a waveform after which to give up (default: %(default)g)",
-    )
+    add_gearbox(parser)
     parser.add_argument("--junit", type=Path, metavar="FILE", help="write the results there as JUnit XML")
     return parser
 
 
 def _drive(arguments: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     profile = load_profile(arguments.profile)
-    node = arguments.node if arguments.node.startswith("/") else f"/{arguments.node}"
-    try:
+    with needing_ros():
         from gear_dynamics_ros.harness_client import play
-    except ModuleNotFoundError as error:
-        if error.name not in ROS_PACKAGES:
-            raise
-        remedy = "source your ROS 2 installation, or pip install 'gear_dynamics_ros[ros]'"
-        raise GearboxError(f"{error.name}: not found; {remedy}") from error
+    node = full_name(arguments.node)
     report = _Report(arguments.junit, arguments.profile)
     report.begin(unreached(profile.expectations))
     print(f"playing {arguments.profile} to {node}: {profile.duration:g} s of simulated time", flush=True)
@@ -154,13 +136,6 @@ def _progress(player: Player) -> str:
         f"{player.time:6.2f} of {player.profile.duration:g} s  {commands}  expectations: "
         f"{len(over) - failed} passed, {failed} failed, {len(results) - len(over)} to come"
     )
-
-
-def _seconds(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"is {text}, must be > 0 s and finite")
-    return value
 
 
 def _split(words: Sequence[str]) -> tuple[list[str], list[str]]:

@@ -79,3 +79,11 @@ def choice(tree: Mapping[str, Any], key: str, where: str, choices: Sequence[str]
     if value not in choices:
         raise UsageError(f"{where}.{key} is {value!r}, must be one of {', '.join(choices)}")
     return str(value)
+
+
+def switch(tree: Mapping[str, Any], key: str, where: str, default: bool) -> bool:
+    """The true or false under ``key``."""
+    value = tree.get(key, default)
+    if not isinstance(value, bool):
+        raise UsageError(f"{where}.{key} is {value!r}, must be true or false")
+    return value

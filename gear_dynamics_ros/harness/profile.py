@@ -17,7 +17,7 @@ from gear_dynamics_ros.signals import Commands
 
 Setting: TypeAlias = bool | int | float | str | list[float] | list[str]
 
-_KEYS = ("description", "duration", "parameters", "commands", "expectations")
+_KEYS = ("description", "duration", "parameters", "reset", "commands", "expectations")
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +27,7 @@ class Profile:
     description: str
     duration: float  # s
     parameters: Mapping[str, Setting]
+    reset: bool  # back to the start state before time 0, with these parameters
     commands: Mapping[str, Track]
     expectations: tuple[Expectation, ...]
 
@@ -63,7 +64,14 @@ def parse_profile(data: object, folder: Path) -> Profile:
     if duration <= 0.0:
         raise UsageError(f"duration is {duration:g} s, must be > 0: nothing to play")
     description = fields.text(tree, "description", "the profile", "")
-    return Profile(description, duration, _parameters(tree.get("parameters", {})), tracks, expectations)
+    return Profile(
+        description,
+        duration,
+        _parameters(tree.get("parameters", {})),
+        fields.switch(tree, "reset", "the profile", False),
+        tracks,
+        expectations,
+    )
 
 
 def _parameters(tree: object) -> Mapping[str, Setting]:

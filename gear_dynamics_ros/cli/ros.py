@@ -1,0 +1,55 @@
+"""What the commands share that talk to a running gearbox; no rclpy is needed to ask them for help."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from gear_dynamics_ros.errors import GearboxError
+
+PACKAGES = ("rclpy", "rcl_interfaces", "sensor_msgs", "std_msgs", "std_srvs")
+SIGNALLED = 128  # what shells add to the number of a signal
+
+
+def add_gearbox(parser: argparse.ArgumentParser) -> None:
+    """Options that say which gearbox, and how long to wait for it."""
+    parser.add_argument("--node", default="/gearbox", help="full name of the gearbox (default: %(default)s)")
+    parser.add_argument(
+        "--wait",
+        type=_seconds,
+        default=20.0,
+        metavar="S",
+        help="wall seconds to wait for the gearbox (default: %(default)g)",
+    )
+    parser.add_argument(
+        "--timeout",
+        type=_seconds,
+        default=10.0,
+        metavar="S",
+        help="wall seconds without a waveform or an answer after which to give up (default: %(default)g)",
+    )
+
+
+def full_name(node: str) -> str:
+    """``node`` with the slash that it may be given without."""
+    return node if node.startswith("/") else f"/{node}"
+
+
+@contextmanager
+def needing_ros() -> Iterator[None]:
+    """Around the import of what needs rclpy: raises GearboxError with the remedy where ROS is missing."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if error.name not in PACKAGES:
+            raise
+        remedy = "source your ROS 2 installation, or pip install 'gear_dynamics_ros[ros]'"
+        raise GearboxError(f"{error.name}: not found; {remedy}") from error
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"is {text}, must be > 0 s and finite")
+    return value
