@@ -46,7 +46,7 @@ def perform(path: Path, deeds: Sequence[Any], chosen: dict[str, Any], late: int 
     for number, deed in enumerate(deeds):
         if number == late:
             recorder = Recorder(path, engine.parameters, run.checkpoint(), 0)
-            run.attach(RecorderSink(recorder))
+            run.attach(RecorderSink(recorder, run.engine))
         if isinstance(deed, dict):
             run.change(updated(engine.parameters, deed))
         run.step(deed if isinstance(deed, Commands) else None)

@@ -96,7 +96,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("simulated") / "run"
     engine = Engine(Parameters())
     recorder = Recorder(path, engine.parameters, engine.checkpoint(), 0)
-    run = Run(engine, Encoder(engine.parameters, 0), [RecorderSink(recorder)])
+    run = Run(engine, Encoder(engine.parameters, 0), [RecorderSink(recorder, engine)])
     run.step()
     run.step(Commands(30.0, 55.0, 1700.0))
     run.change(updated(engine.parameters, {"oil.viscosity": 0.03}))
