@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from gear_dynamics_ros import recording, replay
 from gear_dynamics_ros.cli.common import FAILURE, Progress, guarded
+from gear_dynamics_ros.cli.replay_recover import add_recover
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -20,6 +21,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     verify.set_defaults(command=verify_bag)
     for verb in (info, verify):
         verb.add_argument("bag", metavar="BAG", help="recording: a folder or a single .mcap file")
+    add_recover(verbs)
     return guarded(lambda arguments: int(arguments.command(arguments)), parser, argv)
 
 
