@@ -366,6 +366,20 @@ def test_a_tail_that_is_no_record_is_counted(
     assert recording.open(tmp_path / "tail.mcap").waveform().tobytes() == samples[: chunk.last].tobytes()
 
 
+@pytest.mark.parametrize("opcode", [0x00, 0x06, 0x09, 0x0C, 0x80])
+def test_what_a_length_claims_is_not_held_in_memory(bag: Path, tmp_path: Path, opcode: int) -> None:
+    chunk = filled_chunks(bag / "bag_0.mcap")[5]
+    path, size = tmp_path / "huge.mcap", 200 << 30
+    head = struct.pack("<BQ", opcode, size - chunk.end - 9)
+    path.write_bytes((bag / "bag_0.mcap").read_bytes()[: chunk.end] + head)
+    os.truncate(path, size)  # the rest takes no room on the disk
+    report = recover(path, tmp_path / "out")
+    assert (report.size, report.span, report.parts[0].ended) == (size, (0, chunk.last), False)
+    # a private record may be of any length
+    assert report.parts[0].break_at == (size if opcode == 0x80 else chunk.end)
+    assert recording.open(path).end_sample == chunk.last
+
+
 def test_a_chunk_half_of_zeros_belongs_to_the_tail(bag: Path, tmp_path: Path) -> None:
     chunk = filled_chunks(bag / "bag_0.mcap")[5]
     content = (bag / "bag_0.mcap").read_bytes()[: (chunk.start + chunk.end) // 2]
@@ -434,6 +448,37 @@ def test_an_attachment_is_read_by_itself_and_checked(bag: Path, tmp_path: Path) 
         assert list(read_attachments(stream, survey(stream))) == ["start.json"]
     with pytest.raises(GearboxError, match=r"parameters\.yaml"):
         recording.open(tmp_path / "out")
+
+
+def test_the_report_tells_what_was_kept_and_lost(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    spoilt, broken = filled_chunks(bag / "bag_1.mcap")[4], filled_chunks(bag / "bag_2.mcap")[5]
+    content = bytearray((bag / "bag_1.mcap").read_bytes())
+    content[spoilt.end - 9] ^= 1
+    source = changed(bag, tmp_path / "source", 1, content)
+    (source / "bag_2.mcap").write_bytes((bag / "bag_2.mcap").read_bytes()[: broken.end - 1])
+    (source / "metadata.yaml").unlink()
+    assert replay_main(["recover", str(source)]) == 0
+    told = capsys.readouterr().out.splitlines()
+    target = tmp_path / "source_recovered"
+    missing, tail = spoilt.last - spoilt.first, broken.end - broken.start - 1
+    size = sum(file.stat().st_size for file in source.iterdir())
+    counts = [part.found.counts for part in recording.open(target).parts]
+    kept = f"{broken.first - missing} samples, 0 to {broken.first - 1} (0.000000 s to "
+    assert told[0] == f"{source}: recovered to {target}"
+    assert told[1].endswith("bytes  whole")
+    assert told[3].endswith("complete; left out as spoilt: 1 chunk")
+    assert told[5].endswith(
+        f"breaks off at byte {broken.start}: the {tail} bytes behind it hold no whole record"
+    )
+    assert told[6].startswith(f"    kept {sum(counts[2].values())} messages, ")
+    assert told[7].startswith(f"missing in between: {missing} samples, {spoilt.first} to {spoilt.last - 1} ")
+    assert told[8] == "metadata.yaml was missing: made anew"
+    assert told[9].startswith(
+        f"read {size} bytes, kept {sum(sum(each.values()) for each in counts)} messages, {kept}"
+    )
+    assert told[10] == f"lost: {tail} bytes without a whole record, 1 chunk, {missing} samples in between"
 
 
 @pytest.mark.parametrize("size", [0, 5, 200])

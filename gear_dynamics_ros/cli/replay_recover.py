@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from gear_dynamics_ros.cli.common import Progress
@@ -31,41 +31,42 @@ def recover_bag(arguments: argparse.Namespace) -> int:
 def _lines(report: Report) -> Iterator[str]:
     yield f"{report.source}: recovered to {report.target}"
     for part in report.parts:
-        yield f"  {part.name}  {part.size / 1e6:.1f} MB  {_state(part)}"
-        yield f"    {_kept(part, report)}{_spoilt(part)}"
+        yield f"  {part.name}  {part.size} bytes  {_state(part)}"
+        yield f"    kept {_kept(part, report)}"
     for name in report.left_out:
         yield f"  {name}  no MCAP file: left out"
     for gap in report.gaps:
         yield f"missing in between: {gap.end - gap.first} samples, {_times(gap, report)}"
     if not report.described:
         yield "metadata.yaml was missing: made anew"
-    yield f"read {report.size / 1e6:.1f} MB, {_kept(report, report)}"
+    yield f"read {report.size} bytes, kept {_kept(report, report)}"
     yield _verdict(report)
 
 
 def _state(part: PartReport) -> str:
-    if part.finished and part.ended:
-        return "whole" if part.whole else "complete, but spoilt in places"
+    spoilt = _spoilt([part])
+    left_out = f"; left out as spoilt: {', '.join(spoilt)}" if spoilt else ""
+    if part.whole:
+        return "whole" if part.finished else "whole but for the index at its end"
     if part.ended:
-        return "complete, but for the index at its end"
-    tail = part.size - part.break_at
-    behind = f"the {tail} bytes behind it hold no whole record" if tail else "its last record is whole"
-    return f"breaks off at byte {part.break_at}: {behind}"
+        return f"complete{left_out}"
+    behind = f"the {part.tail} bytes behind it hold no whole record" if part.tail else "nothing is behind it"
+    return f"breaks off at byte {part.break_at}: {behind}{left_out}"
 
 
 def _kept(of: PartReport | Report, report: Report) -> str:
     if of.span is None:
-        return f"kept {of.messages} messages, no samples"
-    return f"kept {of.messages} messages, {of.samples} samples, {_times(of.span, report)}"
+        return f"{of.messages} messages, no samples"
+    return f"{of.messages} messages, {of.samples} samples, {_times(of.span, report)}"
 
 
-def _spoilt(part: PartReport) -> str:
-    counts = (
-        (part.spoilt_chunks, "chunks"),
-        (part.spoilt_attachments, "attachments"),
-        (part.spoilt_metadata, "metadata records"),
-    )
-    return "".join(f"; {count} spoilt {what} left out" for count, what in counts if count)
+def _spoilt(parts: Sequence[PartReport]) -> list[str]:
+    counts = {
+        "chunk": sum(part.spoilt_chunks for part in parts),
+        "attachment": sum(part.spoilt_attachments for part in parts),
+        "metadata record": sum(part.spoilt_metadata for part in parts),
+    }
+    return [f"{count} {what}{'s' if count > 1 else ''}" for what, count in counts.items() if count]
 
 
 def _times(span: Span, report: Report) -> str:
@@ -77,6 +78,16 @@ def _times(span: Span, report: Report) -> str:
 def _verdict(report: Report) -> str:
     if report.whole:
         return "nothing was lost"
-    if not report.messages:
-        return "nothing had been flushed yet: there was no message to keep"
-    return "what had not been flushed, or is spoilt, is lost"
+    tail = sum(part.tail for part in report.parts)
+    missing = sum(gap.end - gap.first for gap in report.gaps)
+    lost = [
+        *([f"{tail} bytes without a whole record"] if tail else []),
+        *_spoilt(report.parts),
+        *([f"{missing} samples in between"] if missing else []),
+        *([f"{len(report.left_out)} files"] if report.left_out else []),
+    ]
+    told = f"lost: {', '.join(lost)}" if lost else "lost: what had not been flushed"
+    if report.messages:
+        return told
+    spoilt = any(part.spoilt_chunks for part in report.parts)
+    return f"{'no message is whole' if spoilt else 'nothing had been flushed yet'}; {told}"

@@ -55,6 +55,11 @@ class PartReport(NamedTuple):
     spoilt_metadata: int
 
     @property
+    def tail(self) -> int:
+        """Bytes at the end that hold no whole record of data."""
+        return 0 if self.ended else self.size - self.break_at
+
+    @property
     def whole(self) -> bool:
         """Whether nothing in it was lost."""
         return self.ended and not (self.spoilt_chunks or self.spoilt_attachments or self.spoilt_metadata)
