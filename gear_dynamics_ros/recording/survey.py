@@ -74,8 +74,11 @@ class Survey:
         return max((chunk.message_end_time for chunk in self.chunks), default=0)
 
     def topic_counts(self) -> dict[str, int]:
-        """Messages on each topic."""
-        return {channel.topic: self.counts.get(number, 0) for number, channel in self.channels.items()}
+        """Messages on each topic, which may have several channels."""
+        counts: dict[str, int] = {}
+        for number, channel in self.channels.items():
+            counts[channel.topic] = counts.get(channel.topic, 0) + self.counts.get(number, 0)
+        return counts
 
 
 class Content(NamedTuple):
