@@ -17,6 +17,7 @@ import time
 import zlib
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -710,10 +711,8 @@ def recovers_or_refuses(content: bytes) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path, target = Path(folder) / "any_0.mcap", Path(folder) / "out"
         path.write_bytes(content)
-        try:
+        with suppress(GearboxError):
             read_all(path)
-        except GearboxError:
-            pass
         try:
             report = recover(path, target)
         except GearboxError:
@@ -736,7 +735,7 @@ CHANGES = st.lists(
 
 
 @given(changes=CHANGES)
-@settings(max_examples=120)
+@settings(max_examples=80)
 def test_any_change_of_a_file_recovers_or_is_refused(small: bytes, changes: list[Any]) -> None:
     content = small
     for share, change, data in changes:
@@ -842,6 +841,6 @@ BOMB = replace(BOMB, compression="zstd", uncompressed_size=2**62)
 @given(pieces=st.lists(st.one_of(st.just(SOUND), PIECES, CHUNKS_OF_ANYTHING), max_size=8))
 @example([encode((BOMB,))])
 @example([encode((replace(BOMB, compression="brotli"),))])
-@settings(max_examples=120)
+@settings(max_examples=80)
 def test_any_file_recovers_or_is_refused(pieces: list[bytes]) -> None:
     recovers_or_refuses(MCAP0_MAGIC + b"".join(pieces))
