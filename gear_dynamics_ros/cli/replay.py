@@ -11,6 +11,7 @@ from gear_dynamics_ros.cli.replay_diff import add_diff
 from gear_dynamics_ros.cli.replay_export import add_export
 from gear_dynamics_ros.cli.replay_info import add_info
 from gear_dynamics_ros.cli.replay_publish import add_publish
+from gear_dynamics_ros.cli.replay_recover import add_recover
 from gear_dynamics_ros.cli.replay_verify import add_verify
 
 
@@ -21,7 +22,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         description="What may be done with recordings; replay VERB --help tells more.",
     )
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
-    for add in (add_info, add_verify, add_diff, add_export, add_publish):
+    for add in (add_info, add_verify, add_recover, add_diff, add_export, add_publish):
         add(verbs)
     return guarded(lambda arguments: int(arguments.command(arguments)), parser, argv)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
 
 from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.files import sync_folder
 from gear_dynamics_ros.recording import tables
 from gear_dynamics_ros.recording.reader import Recording
 from gear_dynamics_ros.recording.table_files import FORMATS, Maker
@@ -132,7 +133,7 @@ def _partial(path: Path) -> Iterator[BinaryIO]:
         _require_free(path)
         with _naming(path):
             part.rename(path)
-            _sync_folder(path.parent)
+            sync_folder(path.parent)
     except BaseException:
         with suppress(OSError):  # of writing what the stream still holds, which is thrown away
             stream.close()
@@ -158,15 +159,6 @@ def _create(part: Path) -> BinaryIO:
 def _require_free(path: Path) -> None:
     if os.path.lexists(path):
         raise UsageError(f"'{path}' exists already and is not overwritten: choose another name")
-
-
-def _sync_folder(folder: Path) -> None:
-    """Bring a new name in ``folder`` to the disk."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 @contextmanager

@@ -19,6 +19,7 @@ from mcap.records import (
     Attachment,
     AttachmentIndex,
     Channel,
+    Chunk,
     ChunkIndex,
     Header,
     Metadata,
@@ -32,9 +33,10 @@ from gear_dynamics_ros.recording.survey import Survey, encode, ending
 CHUNK_BYTES: Final = 1 << 20
 # Higher levels cost twice the time and save a tenth of a per cent: samples of doubles hardly compress.
 _LEVEL: Final = 1
-_COMPRESSION: Final = b"zstd"
+_COMPRESSION: Final = "zstd"
 _MESSAGE: Final = struct.Struct("<BQHIQQ")
-_CHUNK: Final = struct.Struct("<BQQQQII4sQ")
+_CHUNK: Final = struct.Struct("<BQQQQII")
+_SIZE: Final = struct.Struct("<Q")
 _INDEX: Final = struct.Struct("<BQHI")
 _HEAD_BYTES: Final = 9  # opcode and length, which the length leaves out
 
@@ -82,19 +84,11 @@ class McapWriter:
         offset = self._append(record)
         self.survey.metadata.append(MetadataIndex(length=len(record), name=name, offset=offset))
 
-    def add_channel(self, topic: str, schema_name: str, schema: bytes, metadata: Mapping[str, str]) -> int:
-        """Number of a new channel of CDR messages with a ros2msg schema."""
-        number = len(self.survey.channels) + 1
-        channel = Channel(
-            id=number,
-            topic=topic,
-            message_encoding="cdr",
-            metadata=dict(metadata),
-            schema_id=self._schema(schema_name, schema),
-        )
-        self.survey.channels[number] = channel
-        self._pending += encode((channel,))
-        return number
+    def add_definitions(self, schemas: Mapping[int, Schema], channels: Mapping[int, Channel]) -> None:
+        """Write schemas and channels with the numbers they have, before and outside of the chunks."""
+        self._append(encode((*schemas.values(), *channels.values())))
+        self.survey.schemas.update(schemas)
+        self.survey.channels.update(channels)
 
     def add_message(self, channel: int, sequence: int, time_ns: int, data: bytes) -> None:
         """Add a message to the open chunk."""
@@ -113,38 +107,52 @@ class McapWriter:
         """Write the open chunk, if it holds messages."""
         if not self._positions:
             return
-        data = self._compressor.compress(self._pending)
-        chunk = _CHUNK.pack(
-            Opcode.CHUNK,
-            _CHUNK.size - _HEAD_BYTES + len(data),
-            self._earliest,
-            self._latest,
-            len(self._pending),
-            zlib.crc32(self._pending),
-            len(_COMPRESSION),
-            _COMPRESSION,
-            len(data),
+        chunk = Chunk(
+            compression=_COMPRESSION,
+            data=self._compressor.compress(self._pending),
+            message_end_time=self._latest,
+            message_start_time=self._earliest,
+            uncompressed_crc=zlib.crc32(self._pending),
+            uncompressed_size=len(self._pending),
         )
-        indexes = {channel: _message_index(channel, flat) for channel, flat in self._positions.items()}
-        offset = self._append(b"".join((chunk, data, *indexes.values())))
-        length = len(chunk) + len(data)
+        self.add_chunk(chunk, self._positions)
+        self._pending.clear()
+        self._positions.clear()
+
+    def add_chunk(self, chunk: Chunk, positions: Mapping[int, list[int]]) -> None:
+        """Write a chunk, compressed already, and its index.
+
+        ``positions``: channel -> time, offset inside, time, offset ... of its messages.
+        """
+        compression = chunk.compression.encode()
+        head = _CHUNK.pack(
+            Opcode.CHUNK,
+            _CHUNK.size - _HEAD_BYTES + len(compression) + _SIZE.size + len(chunk.data),
+            chunk.message_start_time,
+            chunk.message_end_time,
+            chunk.uncompressed_size,
+            chunk.uncompressed_crc,
+            len(compression),
+        )
+        record = (head, compression, _SIZE.pack(len(chunk.data)), chunk.data)
+        indexes = {channel: _message_index(channel, flat) for channel, flat in positions.items()}
+        offset = self._append(b"".join((*record, *indexes.values())))
+        length = sum(map(len, record))
         self.survey.chunks.append(
             ChunkIndex(
                 chunk_length=length,
                 chunk_start_offset=offset,
-                compression=_COMPRESSION.decode(),
-                compressed_size=len(data),
-                message_end_time=self._latest,
+                compression=chunk.compression,
+                compressed_size=len(chunk.data),
+                message_end_time=chunk.message_end_time,
                 message_index_length=sum(map(len, indexes.values())),
                 message_index_offsets=_offsets(indexes, offset + length),
-                message_start_time=self._earliest,
-                uncompressed_size=len(self._pending),
+                message_start_time=chunk.message_start_time,
+                uncompressed_size=chunk.uncompressed_size,
             )
         )
-        for channel, flat in self._positions.items():
+        for channel, flat in positions.items():
             self.survey.counts[channel] = self.survey.counts.get(channel, 0) + len(flat) // 2
-        self._pending.clear()
-        self._positions.clear()
 
     @property
     def in_place(self) -> bool:
@@ -181,15 +189,6 @@ class McapWriter:
     def close(self) -> None:
         """Close the file as it is."""
         self._file.close()
-
-    def _schema(self, name: str, data: bytes) -> int:
-        known = next((schema.id for schema in self.survey.schemas.values() if schema.name == name), None)
-        if known is not None:
-            return known
-        number = len(self.survey.schemas) + 1
-        self.survey.schemas[number] = Schema(data=data, encoding="ros2msg", id=number, name=name)
-        self._pending += encode((self.survey.schemas[number],))
-        return number
 
     def _append(self, data: bytes) -> int:
         """Write whole records; returns where they begin."""

@@ -127,7 +127,7 @@ def part_files(path: Path) -> Sequence[Path]:
         return [path]
     if not path.is_dir():
         raise UsageError(f"no recording at '{path}': give a rosbag2 folder or an .mcap file")
-    files = sorted(path.glob("*.mcap"), key=layout.part_number)
+    files = sorted((file for file in path.glob("*.mcap") if file.is_file()), key=layout.part_number)
     if not files:
         raise UsageError(f"no recording in '{path}': the folder holds no .mcap file")
     return files
@@ -153,8 +153,10 @@ def _open_part(path: Path) -> PartFile:
                 read_attachment(stream, _index(found, name)).decode()
                 for name in (layout.PARAMETERS_ATTACHMENT, layout.START_ATTACHMENT)
             )
-            return PartFile(path, run, parameters, json.loads(start), path.stat().st_size, found)
-        except (KeyError, ValueError) as error:
+            state = json.loads(start)
+            int(state["sample"])
+            return PartFile(path, run, parameters, state, path.stat().st_size, found)
+        except (KeyError, RecursionError, TypeError, ValueError) as error:
             raise GearboxError(
                 f"'{path}' is no recording of this package, or its start is lost: {error}"
             ) from error

@@ -353,7 +353,7 @@ class _PartWriter:
     def __init__(self, path: Path, topics: Mapping[str, tuple[str, Topic]]) -> None:
         self._path = path
         self._topics = topics
-        self._channels: dict[str, int] = {}
+        self._channels = {key: number for number, key in enumerate(topics, start=1)}
         self._mcap = McapWriter(path, f"{layout.RUN_METADATA} {__version__}")
         self.finished = False
 
@@ -367,10 +367,7 @@ class _PartWriter:
         self._mcap.add_metadata(layout.RUN_METADATA, run.to_text())
         self._attach(run.epoch_ns, layout.PARAMETERS_ATTACHMENT, "yaml", dump(start.parameters))
         self._attach(run.epoch_ns, layout.START_ATTACHMENT, "json", json.dumps(start.checkpoint))
-        for key, (name, topic) in self._topics.items():
-            self._channels[key] = self._mcap.add_channel(
-                name, topic.type, layout.schema(topic.type), layout.channel_metadata(topic)
-            )
+        self._mcap.add_definitions(*layout.definitions(self._topics.values()))
         self._mcap.sync()
 
     def write(self, record: Record, sequence: int) -> None:

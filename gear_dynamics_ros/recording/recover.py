@@ -1,0 +1,465 @@
+"""Makes a whole recording of a broken one: what stands whole in its files, in new files with indexes.
+
+The broken one is only read.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import shutil
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import BinaryIO, Final, NamedTuple
+
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Metadata, Schema
+from mcap.writer import MCAP0_MAGIC
+
+from gear_dynamics_ros import __version__
+from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.files import replace_text, sync_folder
+from gear_dynamics_ros.messages import TYPESTORE, RowReader
+from gear_dynamics_ros.recording import layout
+from gear_dynamics_ros.recording.layout import Definitions, Part, RunMetadata
+from gear_dynamics_ros.recording.mcap_writer import McapWriter
+from gear_dynamics_ros.recording.parts import part_files, reading
+from gear_dynamics_ros.recording.survey import Content, Piece, first_bytes, read_summary, walk
+from gear_dynamics_ros.topics import TOPICS, Topic, resolve
+
+_LIBRARY: Final = f"{layout.RUN_METADATA} {__version__}"
+
+
+class Span(NamedTuple):
+    """The samples from ``first`` to before ``end``."""
+
+    first: int
+    end: int
+
+
+class PartReport(NamedTuple):
+    """What became of one file."""
+
+    name: str  # of the broken file
+    size: int  # its bytes
+    finished: bool  # it ends with an intact index
+    ended: bool  # its data are there up to their end, be the index behind them intact or not
+    break_at: int  # byte behind its last whole record
+    messages: int  # kept, on all topics
+    samples: int  # kept
+    span: Span | None  # from the first to the last sample kept
+    spoilt_chunks: int
+    spoilt_attachments: int
+    spoilt_metadata: int
+
+    @property
+    def tail(self) -> int:
+        """Bytes at the end that hold no whole record of data."""
+        return 0 if self.ended else self.size - self.break_at
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing in it was lost."""
+        return self.ended and not (self.spoilt_chunks or self.spoilt_attachments or self.spoilt_metadata)
+
+
+class Report(NamedTuple):
+    """What a recovery kept and what is lost."""
+
+    source: Path
+    target: Path
+    parts: tuple[PartReport, ...]
+    left_out: tuple[str, ...]  # files that are not MCAP
+    gaps: tuple[Span, ...]  # samples missing between those kept
+    sample_interval_ns: int | None  # None where no file tells
+    described: bool  # metadata.yaml was there, or was not due
+
+    @property
+    def size(self) -> int:
+        """Bytes read."""
+        return sum(part.size for part in self.parts)
+
+    @property
+    def messages(self) -> int:
+        """Messages kept."""
+        return sum(part.messages for part in self.parts)
+
+    @property
+    def samples(self) -> int:
+        """Samples kept."""
+        return sum(part.samples for part in self.parts)
+
+    @property
+    def span(self) -> Span | None:
+        """From the first to the last sample kept; None if there is none."""
+        spans = [part.span for part in self.parts if part.span is not None]
+        return Span(min(span.first for span in spans), max(span.end for span in spans)) if spans else None
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing was lost."""
+        return all(part.whole for part in self.parts) and not (self.left_out or self.gaps)
+
+
+def default_target(source: Path) -> Path:
+    """Where the recording ``source`` is recovered to unless told otherwise: beside it."""
+    path = Path(os.path.abspath(source))
+    name = path.stem if path.is_file() else path.name
+    return path.with_name(f"{name}_recovered")
+
+
+def recover(source: Path, target: Path, progress: Callable[[float], None] = lambda share: None) -> Report:
+    """Make the new folder ``target`` of all that is whole in ``source``, a rosbag2 folder or one MCAP file.
+
+    ``progress`` is called with the share of the work that is done, 0 to 1. Holds one record in memory at a
+    time. ``target`` appears when it is complete, or not at all.
+
+    Raises UsageError if there is no recording, or ``target`` exists, lies in it or can't be made;
+    GearboxError if no file is MCAP, a file holds topics that this package doesn't know, or reading or writing
+    fails.
+    """
+    source, target = Path(os.path.abspath(source)), Path(os.path.abspath(target))
+    files = part_files(source)
+    _require_place(source, target)
+    found: list[_Source] = []
+    left_out: list[str] = []
+    for number, file in enumerate(files):
+        inspected = _inspect(file, _stage(progress, number, 2 * len(files)))
+        if inspected is None:
+            left_out.append(file.name)
+        else:
+            found.append(inspected)
+    if not found:
+        raise GearboxError(f"'{files[0]}' is no MCAP file: its first bytes are not those of one")
+    track = _Track(next((part.run for part in found if part.run is not None), None))
+    with _draft(target) as draft:
+        rebuilt: list[_Rebuilt] = []
+        for number, (part, name) in enumerate(zip(found, _names(found, target), strict=True)):
+            stage = _stage(progress, len(files) + number, 2 * len(files))
+            rebuilt.append(_rebuild(part, draft / name, _definitions(part, found), track, stage))
+        topics = {name: topic for part in rebuilt for name, topic in part.topics.items()}
+        metadata = layout.metadata_yaml(topics, [part.part for part in rebuilt])
+        replace_text(draft / layout.METADATA_FILE, metadata)
+    progress(1.0)
+    return Report(
+        source,
+        target,
+        tuple(part.report for part in rebuilt),
+        tuple(left_out),
+        tuple(track.gaps),
+        None if track.run is None else track.run.sample_interval_ns,
+        source.is_file() or (source / layout.METADATA_FILE).is_file(),
+    )
+
+
+@dataclass
+class _Source:
+    """One file of the broken recording, as far as it has been looked through."""
+
+    path: Path
+    size: int
+    end: int  # byte behind the last whole record
+    finished: bool
+    ended: bool = False
+    definitions: Definitions = field(default_factory=lambda: Definitions({}, {}))
+    run: RunMetadata | None = None
+    first_sample: int | None = None  # that its start tells
+
+    def note(self, piece: Piece) -> None:
+        """Take in the next record. Raises GearboxError on a topic that this package doesn't know."""
+        content = piece.content
+        self.ended = self.ended or piece.opcode == Opcode.DATA_END
+        if not piece.fault:  # what is spoilt at the very end belongs to what broke off there
+            self.end = piece.offset + piece.length
+        if isinstance(content, Content):
+            _require_known(self.path, content)
+            _add(self.definitions, content.schemas, content.channels)
+        elif isinstance(content, Metadata) and content.name == layout.RUN_METADATA:
+            self.run = _run(content.metadata)
+        elif isinstance(content, Attachment) and content.name == layout.START_ATTACHMENT:
+            self.first_sample = _first_sample(content.data)
+
+
+class _Rebuilt(NamedTuple):
+    """One file of the new recording."""
+
+    part: Part
+    topics: dict[str, Topic]  # by full name
+    report: PartReport
+
+
+class _Track:
+    """Follows the samples of a recording through its parts, and where some are missing."""
+
+    def __init__(self, run: RunMetadata | None) -> None:
+        self.run = run
+        self.node = "/gearbox" if run is None else run.node
+        self.gaps: list[Span] = []
+        self.samples = 0  # of the part at hand
+        self.span: Span | None = None  # of the part at hand
+        self._topic = resolve(TOPICS["waveform"], self.node)
+        self._read = RowReader()
+        self._expected: int | None = None
+
+    def begin(self, first_sample: int | None) -> None:
+        """A part begins, with the sample that its start tells."""
+        self.samples, self.span = 0, None
+        if first_sample is not None:
+            self._reach(Span(first_sample, first_sample))
+
+    def follow(self, content: Content, channels: Mapping[int, Channel]) -> None:
+        """Take in the next chunk."""
+        for number in content.positions:
+            if channels[number].topic == self._topic:
+                for time_ns, data in content.messages(number):
+                    self._add(self._held(time_ns, data))
+
+    def _add(self, held: Span | None) -> None:
+        if held is None:
+            return
+        self._reach(held)
+        self.samples += held.end - held.first
+        known = held if self.span is None else self.span
+        self.span = Span(min(known.first, held.first), max(known.end, held.end))
+
+    def _reach(self, held: Span) -> None:
+        if self._expected is not None and held.first > self._expected:
+            self.gaps.append(Span(self._expected, held.first))
+        self._expected = held.end if self._expected is None else max(held.end, self._expected)
+
+    def _held(self, time_ns: int, data: memoryview) -> Span | None:
+        """The samples of a message, stamped at its last; None if it can't be one of a run."""
+        if self.run is None:
+            return None
+        try:
+            rows = len(self._read.read(data)[1])
+        except GearboxError:  # a message that can't be understood is kept as it is, but holds no samples
+            return None
+        last, rest = divmod(time_ns - self.run.epoch_ns, self.run.sample_interval_ns)
+        return Span(last - rows + 1, last + 1) if rows and not rest else None
+
+
+def _require_place(source: Path, target: Path) -> None:
+    if os.path.lexists(target):
+        raise UsageError(
+            f"--output: '{target}' exists already and is not overwritten: choose another path or move it away"
+        )
+    if Path(os.path.realpath(target)).is_relative_to(os.path.realpath(source)):
+        raise UsageError(f"--output: '{target}' lies inside the recording itself: choose a path beside it")
+
+
+def _stage(progress: Callable[[float], None], number: int, count: int) -> Callable[[float], None]:
+    """Progress within one of ``count`` stages of the work."""
+    return lambda share: progress((number + share) / count)
+
+
+def _inspect(path: Path, progress: Callable[[float], None]) -> _Source | None:
+    """What is whole in a file; None if it is no MCAP file."""
+    with reading(path) as stream:
+        if not MCAP0_MAGIC.startswith(first_bytes(stream)):
+            return None
+        size = stream.seek(0, os.SEEK_END)
+        summary = read_summary(stream)
+        source = _Source(path, size, min(size, len(MCAP0_MAGIC)), summary is not None)
+        outside = Definitions({}, {})
+        for piece in walk(stream, size):
+            source.note(piece)
+            if isinstance(piece.content, Schema):
+                _add(outside, {piece.content.id: piece.content}, {})
+            elif isinstance(piece.content, Channel):
+                _add(outside, {}, {piece.content.id: piece.content})
+            progress((piece.offset + piece.length) / size)
+    # Those inside chunks have a checksum each, the summary has one, those that stand alone have none.
+    for schemas, channels in ([] if summary is None else [(summary.schemas, summary.channels)]) + [outside]:
+        _add(source.definitions, schemas, channels)
+    source.definitions = _usable(source.definitions)
+    return source
+
+
+def _add(found: Definitions, schemas: Mapping[int, Schema], channels: Mapping[int, Channel]) -> None:
+    """Take in what has no definition yet."""
+    for number, schema in schemas.items():
+        found.schemas.setdefault(number, schema)
+    for number, channel in channels.items():
+        found.channels.setdefault(number, channel)
+
+
+def _usable(found: Definitions) -> Definitions:
+    """Without channels that no reader could decode."""
+    channels = {
+        number: channel
+        for number, channel in found.channels.items()
+        if channel.message_encoding == "cdr"
+        and channel.schema_id in found.schemas
+        and found.schemas[channel.schema_id].name in TYPESTORE.fielddefs
+    }
+    return Definitions(found.schemas, channels)
+
+
+def _require_known(path: Path, content: Content) -> None:
+    for channel in content.channels.values():
+        schema = content.schemas.get(channel.schema_id)
+        if schema is not None and schema.name not in TYPESTORE.fielddefs:
+            raise GearboxError(
+                f"'{path}' is no recording of this package: "
+                f"its topic {channel.topic!r:.80} has the type {schema.name!r:.80}"
+            )
+
+
+def _run(values: Mapping[str, str]) -> RunMetadata | None:
+    try:
+        return RunMetadata.from_text(values)
+    except (KeyError, ValueError):
+        return None
+
+
+def _first_sample(start: bytes) -> int | None:
+    try:
+        sample = json.loads(start)["sample"]
+    except (KeyError, TypeError, ValueError, RecursionError):
+        return None
+    return sample if isinstance(sample, int) else None
+
+
+def _names(found: Sequence[_Source], target: Path) -> list[str]:
+    """File names of the new parts, with the numbers of the old ones where these have any."""
+    numbers = [layout.part_number(part.path) for part in found]
+    if min(numbers) < 0 or len(set(numbers)) < len(numbers):
+        numbers = list(range(len(found)))
+    return [layout.part_name(target, number) for number in numbers]
+
+
+def _definitions(part: _Source, found: Sequence[_Source]) -> Definitions:
+    """The file's own; if the chunk that held them is lost, those of another: all files of a run agree."""
+    candidates = (part.definitions, *(each.definitions for each in found))
+    return next((each for each in candidates if each.channels), part.definitions)
+
+
+def _rebuild(
+    source: _Source,
+    path: Path,
+    definitions: Definitions,
+    track: _Track,
+    progress: Callable[[float], None],
+) -> _Rebuilt:
+    """Write one new file. Raises OSError when that fails."""
+    spoilt: Counter[int] = Counter()
+    track.begin(source.first_sample)
+    with reading(source.path) as stream, closing(McapWriter(path, _LIBRARY)) as writer:
+        _define(writer, definitions, track.node)
+        for piece in _data(stream, source.end):
+            progress((piece.offset + piece.length) / source.size)
+            content = piece.content
+            if isinstance(content, Content) and _readable(content, definitions.channels):
+                _copy_chunk(writer, content)
+                track.follow(content, definitions.channels)
+            elif isinstance(content, Attachment):
+                writer.add_attachment(content.log_time, content.name, content.media_type, bytes(content.data))
+            elif isinstance(content, Metadata):
+                _copy_metadata(writer, content)
+            else:
+                spoilt[piece.opcode] += 1
+        found = writer.survey
+        part = Part(path.name, found.start_ns, found.end_ns, found.topic_counts())
+        topics = _topics(found.schemas, found.channels, track.node)
+        writer.add_metadata(layout.ROSBAG2_METADATA, layout.embedded_metadata(topics, part))
+        writer.finish()
+    report = PartReport(
+        name=source.path.name,
+        size=source.size,
+        finished=source.finished,
+        ended=source.ended,
+        break_at=source.end,
+        messages=part.messages,
+        samples=track.samples,
+        span=track.span,
+        spoilt_chunks=spoilt[Opcode.CHUNK],
+        spoilt_attachments=spoilt[Opcode.ATTACHMENT],
+        spoilt_metadata=spoilt[Opcode.METADATA],
+    )
+    return _Rebuilt(part, topics, report)
+
+
+def _data(stream: BinaryIO, end: int) -> Iterator[Piece]:
+    """The records of data before byte ``end``."""
+    return itertools.takewhile(lambda piece: piece.opcode != Opcode.DATA_END, walk(stream, end))
+
+
+def _define(writer: McapWriter, found: Definitions, node: str) -> None:
+    """Schemas and channels, before the first chunk; those of an empty recording where none are known."""
+    if not found.channels:
+        found = layout.definitions((resolve(topic, node), topic) for topic in TOPICS.values())
+    writer.add_definitions(*found)
+
+
+def _readable(content: Content, channels: Mapping[int, Channel]) -> bool:
+    """Whether all channels of a chunk are known."""
+    return content.positions.keys() | content.channels.keys() <= channels.keys()
+
+
+def _copy_chunk(writer: McapWriter, content: Content) -> None:
+    if not content.positions:
+        return
+    times = [time_ns for flat in content.positions.values() for time_ns in flat[::2]]
+    # The times in the head of a chunk have no checksum; those of its messages have.
+    chunk = replace(content.chunk, message_start_time=min(times), message_end_time=max(times))
+    writer.add_chunk(chunk, content.positions)
+
+
+def _copy_metadata(writer: McapWriter, content: Metadata) -> None:
+    # The one about the old file, by its old name, gives way to one about the new.
+    if content.name != layout.ROSBAG2_METADATA:
+        writer.add_metadata(content.name, content.metadata)
+
+
+def _topics(schemas: Mapping[int, Schema], channels: Mapping[int, Channel], node: str) -> dict[str, Topic]:
+    """Topics by full name, with the quality of service of this version's, or the usual one."""
+    known = {resolve(topic, node): topic for topic in TOPICS.values()}
+    return {
+        channel.topic: known.get(
+            channel.topic, Topic(channel.topic, schemas[channel.schema_id].name, True, 10, False, "")
+        )
+        for channel in channels.values()
+    }
+
+
+@contextmanager
+def _draft(target: Path) -> Iterator[Path]:
+    """Folder that takes the name ``target`` once the work in it is done, and goes if that fails."""
+    draft = target.with_name(f"{target.name}.part")
+    _make_folder(draft, target)
+    try:
+        yield draft
+        sync_folder(draft)
+        if os.path.lexists(target):
+            raise UsageError(f"--output: '{target}' has come into being meanwhile: choose another path")
+        draft.rename(target)
+        sync_folder(target.parent)
+    except BaseException as error:
+        shutil.rmtree(draft, ignore_errors=True)  # what went wrong before tells more
+        if isinstance(error, OSError):
+            raise GearboxError(
+                f"can't write '{target}': {error.strerror}: free space or choose another --output"
+            ) from error
+        raise
+
+
+def _make_folder(draft: Path, target: Path) -> None:
+    try:
+        draft.mkdir()
+    except FileExistsError:
+        raise UsageError(
+            f"--output: '{draft}' is left of a recovery that broke off: remove it or choose another path"
+        ) from None
+    except FileNotFoundError:
+        raise UsageError(
+            f"--output: the folder '{target.parent}' does not exist: make it or choose another path"
+        ) from None
+    except OSError as error:
+        raise UsageError(
+            f"--output: can't make '{target}': {error.strerror}: choose a writable place"
+        ) from error
