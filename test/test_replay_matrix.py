@@ -56,7 +56,8 @@ def trouble(client: Client, rng: random.Random) -> None:
             assert client.call(Trigger, "restore_checkpoint").success
         else:
             deeds[name]()
-        client.hear("waveform", 2)
+        if name not in ("halt", "step"):
+            client.hear("waveform", 2)
 
 
 @pytest.mark.parametrize("pace", PACES)
