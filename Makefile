@@ -27,7 +27,7 @@ test: setup $(NODE_READERS)
 	@$(BIN)/pytest --numprocesses 2 --dist loadfile --durations 10
 
 bench: setup
-	@$(BIN)/python benchmarks --output benchmarks/results.md
+	@$(BIN)/python benchmarks --output benchmarks/results.md --figures docs/recording.md
 
 # Ten minutes; others with make soak DURATION=60.
 DURATION := 600

@@ -1,8 +1,9 @@
-"""Every benchmark in one run, as a page of Markdown: python benchmarks [--output benchmarks/results.md]."""
+"""Every benchmark in one run, as a page of Markdown: python benchmarks [--output FILE] [--figures FILE]."""
 
 from __future__ import annotations
 
 import argparse
+import os
 import platform
 from collections.abc import Callable, Iterator
 from itertools import product
@@ -13,6 +14,7 @@ import general_solvers
 import latency
 import numpy as np
 import plain_c
+import recordings
 import speed
 
 from gear_dynamics_ros.engine import Engine
@@ -23,6 +25,8 @@ from gear_dynamics_ros.parameters import Parameters
 REAL_TIME_AIMED_AT = {"traditional": 5.0, "compared": 5.0, "improved": 3.0}
 RATIO_AIMED_AT = 1.2
 SOLVER_REPEATS = 3
+RECORDINGS = "Recordings: writing, reading, verifying"
+MADE = "Made by `make bench` on {machine}."
 
 Lines = list[str]
 
@@ -39,13 +43,33 @@ def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, help="also write the page to this file")
-    output: Path | None = parser.parse_args().output
+    parser.add_argument(
+        "--figures", type=Path, help="page whose figures of recordings, between its marks, are to be replaced"
+    )
+    arguments = parser.parse_args()
     page: Lines = []
     for part in parts():
         print("\n".join(part), flush=True)
         page += part
-    if output is not None:
-        output.write_text("\n".join(page).rstrip() + "\n", encoding="utf-8")
+        if part[0] == f"## {RECORDINGS}" and arguments.figures is not None:
+            replace_figures(arguments.figures, [MADE.format(machine=machine()), "", *part[2:]])
+    if arguments.output is not None:
+        arguments.output.write_text("\n".join(page).rstrip() + "\n", encoding="utf-8")
+
+
+def replace_figures(path: Path, lines: Lines) -> None:
+    """Put ``lines`` between the marks of a page."""
+    before, begin, rest = path.read_text(encoding="utf-8").partition("<!-- figures -->\n")
+    _, end, after = rest.partition("<!-- end of figures -->")
+    if not (begin and end):
+        raise GearboxError(f"{path} has no place for figures: it lacks the marks of their begin and end")
+    text = "\n".join(lines).strip()
+    path.write_text(f"{before}{begin}{text}\n{end}{after}", encoding="utf-8")
+
+
+def machine() -> str:
+    """What the figures are from."""
+    return f"{processor()} ({os.cpu_count()} logical processors), Python {platform.python_version()}"
 
 
 def parts() -> Iterator[Lines]:
@@ -53,9 +77,8 @@ def parts() -> Iterator[Lines]:
     yield [
         "# Benchmarks",
         "",
-        f"Made by `make bench` on one core of {processor()}, Python {platform.python_version()}. 15500 rpm, "
-        "steps of 1 us, all channels at 100 kHz and chunks of 2 ms unless said otherwise; medians of turns "
-        "in one run.",
+        f"{MADE.format(machine=machine())} Unless said otherwise: one core, 15500 rpm, steps of 1 us, all "
+        "channels at 100 kHz and chunks of 2 ms; medians of turns in one run.",
         "",
     ]
     for section in sections():
@@ -95,6 +118,7 @@ def sections() -> list[Section]:
             "By the clock on the wall, the files finished.",
             lambda: speed.recording(tuple(REAL_TIME_AIMED_AT)),
         ),
+        Section(RECORDINGS, "Model improved, gearbox.yaml, unless said otherwise.", recordings.tables),
         Section(
             "Latency",
             "The node in a process of its own with gearbox.yaml at real-time factor 1, this one listening to "

@@ -163,6 +163,7 @@ class GearboxNode(LifecycleNode):
             self._recorded_before = True
             if not session.recorder_errors:
                 self._log.info(done)
+        self._tell_recorder_errors(session)
         return session
 
     def _release(self, reason: str) -> None:

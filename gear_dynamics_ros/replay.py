@@ -29,10 +29,12 @@ from gear_dynamics_ros.parameters import Parameters, differences, parse, updated
 from gear_dynamics_ros.recording.reader import Event, RecordedChunk, Recording
 from gear_dynamics_ros.run import CHANGE, RESET, RESTORE
 from gear_dynamics_ros.signals import Commands, Status
-from gear_dynamics_ros.topics import is_rows
+from gear_dynamics_ros.topics import OF_A_CHUNK, is_rows
 
 # Stretches for each processor: when one is done early, there is another.
 SHARES: Final = 4
+# The waveform tells more than what is taken from it.
+TELLING: Final = ("waveform", *(topic for topic in OF_A_CHUNK if topic != "waveform"))
 
 Action: TypeAlias = tuple[int, Event | Commands]
 
@@ -281,8 +283,7 @@ def _compare_chunk(
     except GearboxError as error:
         return Difference(recorded.first, "waveform", f"{recorded.samples} samples", f"none: {error}")
     made = {record.topic: record.data for record in encoder.chunk(chunk) if record.topic in kept}
-    # The waveform tells more than what is taken from it.
-    for topic in sorted(made.keys() | recorded.messages.keys(), key=lambda topic: topic != "waveform"):
+    for topic in TELLING:
         difference = _compare_message(recorded, topic, made.get(topic))
         if difference is not None:
             return difference
@@ -291,6 +292,8 @@ def _compare_chunk(
 
 def _compare_message(recorded: RecordedChunk, topic: str, simulated: bytes | None) -> Difference | None:
     stored = recorded.messages.get(topic)
+    if stored is None and simulated is None:
+        return None
     if stored is None or simulated is None:
         there, missing = "a message", "no message"
         return Difference(

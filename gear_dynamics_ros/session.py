@@ -107,11 +107,7 @@ class Session:
         if self.parameters.recording.mode == "ring":
             self.recordings.arm()
             return f"keeping the last {self.parameters.recording.ring_duration:g} s in memory"
-        try:
-            return f"recording to {self.recordings.begin(beside=beside)}"
-        except GearboxError as error:
-            self.recorder_errors.append(str(error))
-            return f"not recorded: {error}"
+        return self._record(beside=beside)
 
     def change(self, parameters: Parameters) -> None:
         """Go on with ``parameters`` from the next chunk edge on. Raises UsageError where one is fixed."""
@@ -201,11 +197,18 @@ class Session:
             self.live.restart(begin)
             self.condition.clear(self._run.engine.mesh_loss)
             record_anew, self._cut_recording = self._cut_recording, False
-            return f", {self.begin_recording(beside=True)}" if record_anew else ""
+            return f", {self._record(beside=True)}" if record_anew else ""
 
         more = self.live.call(restart)
         self._tell()
         return more
+
+    def _record(self, *, beside: bool) -> str:
+        try:
+            return f"recording to {self.recordings.begin(beside=beside)}"
+        except GearboxError as error:
+            self.recorder_errors.append(str(error))
+            return f"not recorded: {error}"
 
     def _write(self, excerpt: Excerpt) -> Path:
         path = self.recordings.write(excerpt)

@@ -719,7 +719,7 @@ def test_a_recording_that_could_not_begin_can_begin_later(ros_domain, process, t
     client = Client()
     try:
         client.hear("waveform")
-        assert "recordings never overwrite" in node.output
+        node.wait_for("recordings never overwrite")
         path.rmdir()
         assert client.call(SetBool, "record", SetBool.Request(data=True)).message == f"recording to {path}"
         client.hear("waveform")

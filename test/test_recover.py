@@ -55,7 +55,7 @@ from gear_dynamics_ros.recording.survey import (
     encode,
     ending,
     read_attachment,
-    read_content,
+    read_chunk,
     read_metadata,
     survey,
 )
@@ -435,7 +435,7 @@ def test_a_summary_that_lies_is_noticed(bag: Path, tmp_path: Path) -> None:
             assert seen.complete == complete
             if complete:
                 with pytest.raises(GearboxError, match="spoilt"):
-                    [read_content(stream, each) for each in seen.chunks]
+                    [read_chunk(stream, each) for each in seen.chunks]
         report = recovered(path, tmp_path / "out")
         assert report.whole and report.span == (0, SPLITS[0] * ROWS)
         shutil.rmtree(tmp_path / "out")
@@ -692,7 +692,7 @@ def read_all(path: Path) -> None:
                 read_attachment(stream, attachment)
         for index in found.chunks:
             try:
-                assert len(read_content(stream, index)) == index.uncompressed_size
+                assert len(read_chunk(stream, index).data) == index.uncompressed_size
             except GearboxError:
                 continue
 

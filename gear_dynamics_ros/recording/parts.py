@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import struct
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, Final, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
-from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex
 
 from gear_dynamics_ros.errors import GearboxError, UsageError
@@ -19,13 +17,10 @@ from gear_dynamics_ros.recording.layout import RunMetadata
 from gear_dynamics_ros.recording.survey import (
     Survey,
     read_attachment,
-    read_content,
+    read_chunk,
     read_metadata,
     survey,
 )
-
-_RECORD: Final = struct.Struct("<BQ")
-_MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 
 
 class Stored(NamedTuple):
@@ -86,9 +81,9 @@ class PartFile:
                     continue
                 if from_ns is not None and index.message_end_time < from_ns:
                     continue
-                for message in _messages(read_content(stream, index), wanted):
-                    if from_ns is None or message.time_ns >= from_ns:
-                        yield message
+                for channel, time_ns, data in read_chunk(stream, index).messages(wanted):
+                    if from_ns is None or time_ns >= from_ns:
+                        yield Stored(wanted[channel], time_ns, data)
 
     def last_message(self, topic: str) -> Stored | None:
         """The last message of a topic."""
@@ -96,8 +91,8 @@ class PartFile:
         with reading(self.path) as stream:
             for index in reversed(self.found.chunks):
                 if not wanted.keys().isdisjoint(index.message_index_offsets):
-                    *_, last = _messages(read_content(stream, index), wanted)
-                    return last
+                    *_, (channel, time_ns, data) = read_chunk(stream, index).messages(wanted)
+                    return Stored(wanted[channel], time_ns, data)
         return None
 
     def _channels(self, topics: Collection[str]) -> dict[int, str]:
@@ -167,21 +162,3 @@ def _index(found: Survey, name: str) -> AttachmentIndex:
         return next(index for index in found.attachments if index.name == name)
     except StopIteration:
         raise KeyError(name) from None
-
-
-def _messages(content: bytes, wanted: Mapping[int, str]) -> Iterator[Stored]:
-    """Messages of some channels (number: topic) in the content of a chunk.
-
-    The mcap package makes an object of every record, which takes longer than decompressing them.
-    """
-    whole = memoryview(content)
-    offset = 0
-    while offset < len(content):
-        opcode, length = _RECORD.unpack_from(content, offset)
-        offset += _RECORD.size
-        if opcode == Opcode.MESSAGE:
-            channel, _, time_ns, _ = _MESSAGE.unpack_from(content, offset)
-            if channel in wanted:
-                data = whole[offset + _MESSAGE.size : offset + length]
-                yield Stored(wanted[channel], time_ns, data)
-        offset += length

@@ -213,10 +213,9 @@ class _Track:
 
     def follow(self, content: Content, channels: Mapping[int, Channel]) -> None:
         """Take in the next chunk."""
-        for number in content.positions:
-            if channels[number].topic == self._topic:
-                for time_ns, data in content.messages(number):
-                    self._add(self._held(time_ns, data))
+        wanted = [number for number in content.positions if channels[number].topic == self._topic]
+        for _, time_ns, data in content.messages(wanted):
+            self._add(self._held(time_ns, data))
 
     def _add(self, held: Span | None) -> None:
         if held is None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
 from typing import Any, BinaryIO, Final, NamedTuple, Protocol, TypeVar
@@ -89,14 +89,18 @@ class Content(NamedTuple):
     channels: dict[int, Channel]
     positions: dict[int, list[int]]  # channel -> time, offset in data, time, offset ... of its messages
 
-    def messages(self, channel: int) -> Iterator[tuple[int, memoryview]]:
-        """Time in ns and content of each message of a channel."""
-        flat = self.positions.get(channel, [])
+    def messages(self, channels: Collection[int]) -> Iterator[tuple[int, int, memoryview]]:
+        """Channel, time in ns and content of each message of ``channels``, in their order."""
+        found = [
+            (offset, time_ns, channel)
+            for channel in channels
+            for time_ns, offset in _pairs(self.positions.get(channel, []))
+        ]
         view = memoryview(self.data)
-        for time_ns, offset in zip(flat[::2], flat[1::2], strict=True):
+        for offset, time_ns, channel in sorted(found):
             begin = offset + _HEAD.size
             _, length = _HEAD.unpack_from(self.data, offset)
-            yield time_ns, view[begin + _MESSAGE.size : begin + length]
+            yield channel, time_ns, view[begin + _MESSAGE.size : begin + length]
 
 
 class Piece(NamedTuple):
@@ -159,9 +163,9 @@ def walk(stream: BinaryIO, size: int | None = None) -> Iterator[Piece]:
         offset += _HEAD.size + head[1]
 
 
-def read_content(stream: BinaryIO, index: ChunkIndex) -> bytes:
-    """The records inside a chunk, uncompressed. Raises GearboxError if it is spoilt."""
-    return _record(stream, index.chunk_start_offset, Content).data
+def read_chunk(stream: BinaryIO, index: ChunkIndex) -> Content:
+    """A chunk and what stands in it. Raises GearboxError if it is spoilt."""
+    return _record(stream, index.chunk_start_offset, Content)
 
 
 def read_attachment(stream: BinaryIO, index: AttachmentIndex) -> bytes:
@@ -409,6 +413,10 @@ def _split(data: bytes) -> Iterator[tuple[int, int, memoryview]]:
             raise ValueError(f"a record of {length} bytes inside goes beyond its end")
         yield opcode, offset, view[begin : begin + length]
         offset = begin + length
+
+
+def _pairs(flat: list[int]) -> Iterator[tuple[int, int]]:
+    return zip(flat[::2], flat[1::2], strict=True)
 
 
 def _exact(read: Callable[[ReadDataStream], Any]) -> Callable[[bytes], Any]:
