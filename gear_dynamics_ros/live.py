@@ -17,8 +17,8 @@ from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages import Encoder, Record
 from gear_dynamics_ros.pacing import Pace, Pacer
 from gear_dynamics_ros.parameters import Operation, Parameters, updated
-from gear_dynamics_ros.run import PAUSE, RESUME, Run
-from gear_dynamics_ros.signals import Chunk, Counters
+from gear_dynamics_ros.run import Run
+from gear_dynamics_ros.signals import PAUSE, RESUME, Chunk, Counters
 from gear_dynamics_ros.threads import name_thread
 
 PATIENCE = 2.0  # s of silence while the kernel compiles

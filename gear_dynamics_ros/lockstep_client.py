@@ -25,8 +25,7 @@ from gear_dynamics_ros.messages import applied_commands, stamp_ns
 from gear_dynamics_ros.node_topics import quality
 from gear_dynamics_ros.parameters import specifications
 from gear_dynamics_ros.ros_client import noted_signals, ros_context
-from gear_dynamics_ros.run import CHANGE, PAUSE
-from gear_dynamics_ros.signals import Commands
+from gear_dynamics_ros.signals import CHANGE, PAUSE, Commands
 from gear_dynamics_ros.topics import TOPICS, resolve
 
 POLL = 0.1  # s of wall time

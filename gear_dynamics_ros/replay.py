@@ -27,8 +27,7 @@ from gear_dynamics_ros.messages import Encoder, RowReader
 from gear_dynamics_ros.origin import Origin
 from gear_dynamics_ros.parameters import Parameters, differences, parse, updated
 from gear_dynamics_ros.recording.reader import Event, RecordedChunk, Recording
-from gear_dynamics_ros.run import CHANGE, RESET, RESTORE
-from gear_dynamics_ros.signals import Commands, Status
+from gear_dynamics_ros.signals import CHANGE, RESET, RESTORE, Commands, Status
 from gear_dynamics_ros.topics import OF_A_CHUNK, is_rows
 
 # Stretches for each processor: when one is done early, there is another.

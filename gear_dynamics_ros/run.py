@@ -14,15 +14,7 @@ from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages import Encoder, Record
 from gear_dynamics_ros.parameters import Parameters, differences
-from gear_dynamics_ros.signals import Chunk, Commands, Status
-
-START = "start"
-RESET = "reset"
-PAUSE = "pause"
-RESUME = "resume"
-CHANGE = "parameters"
-RESTORE = "restore"
-END = "end"
+from gear_dynamics_ros.signals import CHANGE, END, RESET, RESTORE, START, Chunk, Commands, Status
 
 
 class Sink(Protocol):

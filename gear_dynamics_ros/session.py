@@ -19,8 +19,8 @@ from gear_dynamics_ros.parameters import Parameters, differences
 from gear_dynamics_ros.recording.ring import Excerpt
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.recordings import Recordings
-from gear_dynamics_ros.run import PAUSE, RESUME, Run, Sink
-from gear_dynamics_ros.signals import Chunk
+from gear_dynamics_ros.run import Run, Sink
+from gear_dynamics_ros.signals import PAUSE, RESUME, Chunk
 
 
 class Session:

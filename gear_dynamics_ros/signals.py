@@ -85,6 +85,14 @@ PACE: tuple[Channel, ...] = (
     Channel("worst_lateness", "s", "latest begin of a chunk after it was due, since the last report"),
     Channel("slipped", "s", "wall time by which deadlines were put off, of all time"),
 )
+# Kinds of events.
+START = "start"
+RESET = "reset"
+PAUSE = "pause"
+RESUME = "resume"
+CHANGE = "parameters"
+RESTORE = "restore"
+END = "end"
 CHANNEL_NAMES: tuple[str, ...] = tuple(channel.name for channel in CHANNELS)
 COLUMN: dict[str, int] = {channel.name: i for i, channel in enumerate((*CHANNELS, *ENERGIES))}
 

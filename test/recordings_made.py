@@ -15,8 +15,8 @@ from gear_dynamics_ros.messages import Encoder, Record, message_class, serialize
 from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.recordings import RecorderSink
-from gear_dynamics_ros.run import PAUSE, RESUME, Run
-from gear_dynamics_ros.signals import PACE, Chunk, Commands
+from gear_dynamics_ros.run import Run
+from gear_dynamics_ros.signals import PACE, PAUSE, RESUME, Chunk, Commands
 from gear_dynamics_ros.topics import TOPICS, resolve
 
 EPOCH_NS = 1_700_000_000_123_456_789

@@ -13,7 +13,7 @@ from test_node import Client, gearbox
 
 from gear_dynamics_ros import recording, replay
 from gear_dynamics_ros.recording.recover import recover
-from gear_dynamics_ros.run import CHANGE, PAUSE, RESET, RESTORE, RESUME
+from gear_dynamics_ros.signals import CHANGE, PAUSE, RESET, RESTORE, RESUME
 
 PACES = {
     "flat out": ("pacing.real_time_factor:=0", "solver.chunk:=0.002"),

@@ -17,8 +17,8 @@ from gear_dynamics_ros.analysis.summary import Span
 from gear_dynamics_ros.cli.common import Progress, guarded
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.recording import Event, Recording
-from gear_dynamics_ros.run import RESET, RESTORE
 from gear_dynamics_ros.samples import GEARS, Samples, contact_channels
+from gear_dynamics_ros.signals import RESET, RESTORE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from gear_dynamics_ros import divergence, recording
+from gear_dynamics_ros import recording
 from gear_dynamics_ros.analysis.comparison import ANGLES
 from gear_dynamics_ros.cli.common import FAILURE, Progress
 from gear_dynamics_ros.errors import UsageError
@@ -30,7 +30,7 @@ def add_diff(verbs: Any) -> None:
         "--output",
         type=Path,
         metavar="DIR",
-        help=f"folder for {divergence.FIGURE_FILE} and {divergence.NUMBERS_FILE}",
+        help="folder for diff.png and diff.json",
     )
     parser.add_argument(
         "--align",
@@ -45,6 +45,8 @@ def add_diff(verbs: Any) -> None:
 
 def diff(arguments: argparse.Namespace) -> int:
     """Compare, print, draw; exit code 1 on a difference."""
+    from gear_dynamics_ros import divergence  # loads the model, which other verbs need not wait for
+
     output = arguments.output
     if output is not None and output.exists() and not output.is_dir():
         raise UsageError(f"--output {output} is a file: name a folder")

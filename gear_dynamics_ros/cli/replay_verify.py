@@ -6,7 +6,7 @@ import argparse
 import sys
 from typing import Any
 
-from gear_dynamics_ros import recording, replay
+from gear_dynamics_ros import recording
 from gear_dynamics_ros.cli.common import FAILURE, Progress
 
 
@@ -28,6 +28,8 @@ def add_verify(verbs: Any) -> None:
 
 def verify_bag(arguments: argparse.Namespace) -> int:
     """Verify and say what came out; exit code 1 on a difference."""
+    from gear_dynamics_ros import replay  # loads the kernel, which other verbs need not wait for
+
     bag = recording.open(arguments.bag)
     with Progress("verified", bag.end_sample - bag.first_sample) as progress:
         result = replay.verify(bag, arguments.start, progress)

@@ -30,7 +30,7 @@ class Event(NamedTuple):
 
     sample: int
     time: float  # s, simulated
-    kind: str  # one of those in run.py
+    kind: str  # one of those in signals.py
     message: str
     counters: dict[str, int]  # signals.Counters then; empty in a recording that lacks them
     parameters: Mapping[str, Any] = MappingProxyType({})  # by dotted name, that changed
