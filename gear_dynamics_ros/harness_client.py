@@ -24,7 +24,8 @@ from gear_dynamics_ros.harness.profile import Profile
 from gear_dynamics_ros.harness.results import Result, unreached
 from gear_dynamics_ros.messages import waveform_samples
 from gear_dynamics_ros.node_topics import quality
-from gear_dynamics_ros.ros_client import noted_signals, ros_context
+from gear_dynamics_ros.process import noted_signals
+from gear_dynamics_ros.ros_client import ros_context
 from gear_dynamics_ros.topics import TOPICS, resolve
 
 # s of wall time after which a value that stays is said again: a gearbox may have a command timeout.

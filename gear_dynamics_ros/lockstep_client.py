@@ -24,7 +24,8 @@ from gear_dynamics_ros.harness.recorded import Act, Moment, Reset, Script, requi
 from gear_dynamics_ros.messages import applied_commands, stamp_ns
 from gear_dynamics_ros.node_topics import quality
 from gear_dynamics_ros.parameters import specifications
-from gear_dynamics_ros.ros_client import noted_signals, ros_context
+from gear_dynamics_ros.process import noted_signals
+from gear_dynamics_ros.ros_client import ros_context
 from gear_dynamics_ros.signals import CHANGE, PAUSE, Commands
 from gear_dynamics_ros.topics import TOPICS, resolve
 

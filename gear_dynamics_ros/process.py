@@ -1,4 +1,4 @@
-"""How the node's process ends: signals, and the end of the `ros2 run` that started it."""
+"""How processes end: signals, and the end of the `ros2 run` that started the node."""
 
 from __future__ import annotations
 
@@ -6,11 +6,31 @@ import os
 import signal
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
 from gear_dynamics_ros.threads import name_thread
+
+
+@contextmanager
+def noted_signals() -> Iterator[list[int]]:
+    """The signals that came, which so break nothing off by themselves: look there between short waits.
+
+    For the main thread.
+    """
+    received: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 class Signals:

@@ -1,11 +1,9 @@
-"""What every player to a gearbox over ROS 2 needs: a context, and signals that break off in order."""
+"""What every player to a gearbox over ROS 2 needs."""
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from types import FrameType
 
 import rclpy
 from rclpy.context import Context
@@ -14,25 +12,6 @@ from rclpy.signals import SignalHandlerOptions
 
 from gear_dynamics_ros.discovery import stay_local
 from gear_dynamics_ros.errors import UsageError
-
-
-@contextmanager
-def noted_signals() -> Iterator[list[int]]:
-    """The signals that came, which so break nothing off by themselves: look there between short waits.
-
-    For the main thread.
-    """
-    received: list[int] = []
-
-    def note(number: int, frame: FrameType | None) -> None:
-        received.append(number)
-
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield received
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextmanager

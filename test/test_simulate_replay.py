@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import shutil
+import signal
+import time
 from pathlib import Path
 
 import pytest
+from conftest import StartProcess
 from test_verify import perform
 
 from gear_dynamics_ros import recording, replay
@@ -109,3 +112,22 @@ def test_a_file_that_is_no_recording(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert replay_main(["info", str(tmp_path / "x.mcap")]) in (1, 2)
     error = capsys.readouterr().err
     assert error.startswith("replay: error: ") and error.count("\n") == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_leaves_a_complete_recording_even_if_repeated(
+    tmp_path: Path, process: StartProcess, number: int
+) -> None:
+    path = tmp_path / "bag"
+    running = process("simulate", "--duration", "1000", "--output", path)
+    deadline = time.monotonic() + 60.0
+    while not (path / "bag_0.mcap").exists() or (path / "bag_0.mcap").stat().st_size < 1_000_000:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    running.signal(number)
+    running.signal(signal.SIGINT)
+    assert running.wait() in (128 + number, 128 + signal.SIGINT)
+    assert "broken off by SIG" in running.stderr and "Traceback" not in running.stderr
+    bag = recording.open(path)
+    assert bag.complete and bag.events[-1].message.startswith("SIG")
+    assert replay.verify(bag).difference is None

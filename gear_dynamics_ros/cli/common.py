@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
 
@@ -11,7 +12,8 @@ from gear_dynamics_ros.errors import GearboxError, UsageError
 
 FAILURE = 1
 USAGE = 2
-INTERRUPTED = 130
+SIGNALLED = 128  # what shells add to the number of a signal
+INTERRUPTED = SIGNALLED + signal.SIGINT
 
 
 def add_settings(parser: argparse.ArgumentParser) -> None:

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from gear_dynamics_ros.cli.common import FAILURE, guarded
-from gear_dynamics_ros.cli.ros import SIGNALLED, add_gearbox, full_name, needing_ros
+from gear_dynamics_ros.cli.common import FAILURE, SIGNALLED, guarded
+from gear_dynamics_ros.cli.ros import add_gearbox, full_name, needing_ros
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.harness import junit
 from gear_dynamics_ros.harness.player import Player

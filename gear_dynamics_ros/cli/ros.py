@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from gear_dynamics_ros.errors import GearboxError
 
 PACKAGES = ("rclpy", "rcl_interfaces", "sensor_msgs", "std_msgs", "std_srvs")
-SIGNALLED = 128  # what shells add to the number of a signal
 
 
 def add_gearbox(parser: argparse.ArgumentParser) -> None:

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import argparse
 import math
+import signal
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
 from gear_dynamics_ros import checkpoints
-from gear_dynamics_ros.cli.common import Progress, add_settings, guarded
+from gear_dynamics_ros.cli.common import SIGNALLED, Progress, add_settings, guarded
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.live import warm_up
 from gear_dynamics_ros.messages import Encoder, Record
 from gear_dynamics_ros.parameters import Parameters, load, read_settings, updated
 from gear_dynamics_ros.physics import step_check
+from gear_dynamics_ros.process import noted_signals
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.recordings import RecorderSink
 from gear_dynamics_ros.resources import share_file
@@ -66,7 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def simulate(arguments: argparse.Namespace) -> int:
-    """Simulate and record; exit code 1 if the run ended before its time."""
+    """Simulate and record; exit code 1 if the run ended before its time, 128 + n if signal n broke it off."""
     if arguments.from_checkpoint is None:
         saved = None
         parameters = load(arguments.params_file or share_file("config/gearbox.yaml"), arguments.set)
@@ -84,15 +86,18 @@ def simulate(arguments: argparse.Namespace) -> int:
         engine, Encoder(parameters, EPOCH_NS), [StrictRecorderSink(recorder, engine)], duration=duration
     )
     interval = parameters.solver.sample_interval_ns / 1e9
-    try:
-        run.step()  # opens the files, which is not part of the pace told below
-        warm, began = engine.sample, time.perf_counter()
-        with Progress("simulated", round(duration / interval)) as progress:
-            while not run.end:
-                run.step()
-                progress(engine.sample)
-    finally:
-        run.close()
+    with noted_signals() as received:
+        try:
+            run.step()  # opens the files, which is not part of the pace told below
+            warm, began = engine.sample, time.perf_counter()
+            with Progress("simulated", round(duration / interval)) as progress:
+                while not (run.end or received):
+                    run.step()
+                    progress(engine.sample)
+            if received:
+                run.finish(signal.Signals(received[0]).name)
+        finally:
+            run.close()
     elapsed = time.perf_counter() - began
     pace = (engine.sample - warm) * interval / elapsed
     print(
@@ -101,6 +106,9 @@ def simulate(arguments: argparse.Namespace) -> int:
     )
     if run.tripped:
         raise GearboxError(run.end)
+    if received:
+        print(f"simulate: broken off by {run.end}; the recording is complete up to there", file=sys.stderr)
+        return SIGNALLED + received[0]
     return 0
 
 
