@@ -6,13 +6,16 @@ import math
 import threading
 from collections import deque
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from gear_dynamics_ros.parameters import Parameters, specifications
 from gear_dynamics_ros.signals import Commands
+from gear_dynamics_ros.topics import FLOAT_COMMANDS, JOINT_COMMAND
 
 # Of a burst between two chunk edges as many are recorded; those before them had no effect.
 MOST_RECEIVED = 1000
+# What operation.on_timeout: release commands.
+RELEASED = {"drive_torque": 0.0, "load_torque": 0.0}
 
 
 class Delivery(NamedTuple):
@@ -119,6 +122,16 @@ class Mailbox:
         if lowest <= value <= highest:  # false for NaN
             return ""
         return f"{name} {value:g} refused: not within {lowest:g} to {highest:g}; the last good one stays"
+
+
+def changes_meant(key: str, message: Any, prefix: str) -> tuple[dict[str, float], list[str]]:
+    """Changes that a message on the command topic ``key`` means, and names of joints that take no commands.
+
+    ``prefix`` is joint_prefix.
+    """
+    if key == JOINT_COMMAND:
+        return joint_changes(prefix, message.name, message.velocity, message.effort)
+    return {FLOAT_COMMANDS[key]: float(message.data)}, []
 
 
 def joint_changes(

@@ -11,7 +11,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-from gear_dynamics_ros.commands import Mailbox
+from gear_dynamics_ros.commands import RELEASED, Mailbox
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages import Encoder, Record
@@ -23,7 +23,6 @@ from gear_dynamics_ros.threads import name_thread
 
 PATIENCE = 2.0  # s of silence while the kernel compiles
 T = TypeVar("T")
-RELEASED = {"drive_torque": 0.0, "load_torque": 0.0}
 
 
 @dataclass(slots=True)

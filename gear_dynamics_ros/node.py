@@ -20,7 +20,7 @@ from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.serialization import serialize_message
 
 from gear_dynamics_ros import checkpoints, diagnostics, node_parameters, node_topics
-from gear_dynamics_ros.commands import Mailbox, joint_changes
+from gear_dynamics_ros.commands import Mailbox, changes_meant
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.live import warm_up
@@ -205,14 +205,9 @@ class GearboxNode(LifecycleNode):
             self._mailbox.refuse(str(error))
             self._log.warning(str(error), throttle_duration_sec=WARN_EVERY)
             return
-        if key == node_topics.JOINT_COMMAND:
-            changes, strangers = joint_changes(
-                self.parameters.joint_prefix, message.name, message.velocity, message.effort
-            )
-            for name in strangers:
-                self._tell_once(name, f"~/command/joint: joint '{name}' takes no commands (said once)")
-        else:
-            changes = {node_topics.FLOAT_COMMANDS[key]: float(message.data)}
+        changes, strangers = changes_meant(key, message, self.parameters.joint_prefix)
+        for name in strangers:
+            self._tell_once(name, f"~/command/joint: joint '{name}' takes no commands (said once)")
         refusal = self._mailbox.offer(key, changes, data, time.monotonic_ns())
         if refusal:
             self._log.warning(refusal, throttle_duration_sec=WARN_EVERY)

@@ -17,15 +17,8 @@ from rclpy.subscription import Subscription
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages import Record, deserialize
 from gear_dynamics_ros.signals import Chunk
-from gear_dynamics_ros.topics import TOPICS, Topic
+from gear_dynamics_ros.topics import COMMAND_TOPICS, TOPICS, Topic
 
-FLOAT_COMMANDS = {
-    "drive_torque_command": "drive_torque",
-    "load_torque_command": "load_torque",
-    "speed_command": "speed",
-}
-JOINT_COMMAND = "joint_command"
-COMMANDS = (*FLOAT_COMMANDS, JOINT_COMMAND)
 Publishers = Mapping[str, Publisher]
 
 
@@ -48,7 +41,7 @@ class PublisherSink:
 def create_publishers(node: Node, group: CallbackGroup, *, clock: bool) -> Iterator[tuple[str, Publisher]]:
     """A publisher for each output, with its key in TOPICS; parameters may override quality of service."""
     for key, topic in TOPICS.items():
-        if key not in COMMANDS and (clock or key != "clock"):
+        if key not in COMMAND_TOPICS and (clock or key != "clock"):
             yield (
                 key,
                 node.create_publisher(
@@ -65,7 +58,7 @@ def create_subscriptions(
     node: Node, group: CallbackGroup, take: Callable[[str, bytes], None]
 ) -> Iterator[Subscription]:
     """A subscription for each command; ``take`` gets its key and the message as it came, in CDR."""
-    for key in COMMANDS:
+    for key in COMMAND_TOPICS:
         topic = TOPICS[key]
         yield node.create_subscription(
             message_type(topic.type),
@@ -89,7 +82,7 @@ def read_command(key: str, data: bytes) -> Any:
 
 def command_names(node: Node) -> list[str]:
     """Names of the command topics, remapping considered."""
-    return [node.resolve_topic_name(TOPICS[key].name) for key in COMMANDS]
+    return [node.resolve_topic_name(TOPICS[key].name) for key in COMMAND_TOPICS]
 
 
 def quality(topic: Topic) -> QoSProfile:

@@ -21,6 +21,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import numpy as np
 
 from gear_dynamics_ros import checkpoints, origin
+from gear_dynamics_ros.commands import RELEASED, changes_meant
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages import Encoder, RowReader
@@ -35,7 +36,15 @@ SHARES: Final = 4
 # The waveform tells more than what is taken from it.
 TELLING: Final = ("waveform", *(topic for topic in OF_A_CHUNK if topic != "waveform"))
 
-Action: TypeAlias = tuple[int, Event | Commands]
+
+class Asked(NamedTuple):
+    """What a message on a command topic asked for."""
+
+    topic: str  # key in TOPICS
+    changes: Mapping[str, float]  # by field of Commands
+
+
+Action: TypeAlias = tuple[int, Event | Commands | Asked]
 
 
 class Difference(NamedTuple):
@@ -154,7 +163,7 @@ def _legs(recording: Recording) -> Iterator[_Leg]:
     """The whole recording, leg by leg."""
     parts = recording.parts
     for number, part in enumerate(parts):
-        actions = recording.actions(number)
+        actions = _actions(recording, number)
         states = {part.first_sample: partial(_part_start, recording, number)}
         for sample, name in part.checkpoints.items():
             states[sample] = partial(_attached, recording, number, name)
@@ -164,6 +173,16 @@ def _legs(recording: Recording) -> Iterator[_Leg]:
         last = max(states)
         behind = [action for action in actions if action[0] >= last]
         yield _Leg(number, last, states[last], behind, None, _goal(recording, number))
+
+
+def _actions(recording: Recording, number: int) -> list[Action]:
+    """What acted in a part and, behind it, what was asked for at the same sample."""
+    prefix = recording.parameters.joint_prefix
+    asked = [
+        (sample, Asked(topic, changes_meant(topic, message, prefix)[0]))
+        for sample, topic, message in recording.received(number)
+    ]
+    return sorted([*recording.actions(number), *asked], key=lambda action: action[0])
 
 
 def _goal(recording: Recording, number: int) -> Callable[[], _State] | None:
@@ -233,8 +252,7 @@ def _run_leg(
     for recorded in recording.recorded_chunks(leg.part, leg.first, leg.end):
         if stop.is_set():
             return _Tally(samples, messages)
-        _act(engine, actions, recorded.first)
-        difference = _compare_chunk(engine, encoder, kept, recorded)
+        difference = _act(engine, actions, recorded.first) or _compare_chunk(engine, encoder, kept, recorded)
         if difference is not None:
             return _Tally(samples, messages, difference=difference)
         samples += recorded.samples
@@ -247,14 +265,32 @@ def _run_leg(
     return _Tally(samples, messages, 1, _compare_state(engine, leg.goal()))
 
 
-def _act(engine: Engine, actions: deque[Action], sample: int | None) -> None:
-    """Let act what came before ``sample`` was made; all that is left if it is None."""
+def _act(engine: Engine, actions: deque[Action], sample: int | None) -> Difference | None:
+    """Let act what came before ``sample`` was made; all that is left if it is None.
+
+    The last that was asked of each command must then be in force.
+    """
+    asked: dict[str, tuple[str, float]] = {}
     while actions and (sample is None or actions[0][0] <= sample):
         _, action = actions.popleft()
         if isinstance(action, Commands):
             engine.command(action)
+        elif isinstance(action, Asked):
+            asked |= {name: (action.topic, value) for name, value in action.changes.items()}
         else:
             _repeat(engine, action)
+    for name, (topic, value) in asked.items():
+        in_force = getattr(engine.commands, name)
+        if value != in_force and not _released(engine, name):
+            return Difference(engine.sample, f"{topic}: {name}", value, in_force)
+    return None
+
+
+def _released(engine: Engine, name: str) -> bool:
+    """Whether a command may be 0 because none came in time."""
+    operation = engine.parameters.operation
+    released = operation.command_timeout > 0.0 and operation.on_timeout == "release"
+    return released and name in RELEASED and getattr(engine.commands, name) == 0.0
 
 
 def _repeat(engine: Engine, event: Event) -> None:

@@ -121,6 +121,14 @@ TOPICS: Final[dict[str, Topic]] = {
 }
 
 
+# Those that command one thing, by the field of Commands that it is; and the one that may command all.
+FLOAT_COMMANDS: Final = {
+    "drive_torque_command": "drive_torque",
+    "load_torque_command": "load_torque",
+    "speed_command": "speed",
+}
+JOINT_COMMAND: Final = "joint_command"
+COMMAND_TOPICS: Final = (*FLOAT_COMMANDS, JOINT_COMMAND)
 # What the encoder makes of a chunk, in that order; impacts only where some ended.
 OF_A_CHUNK: Final = (
     "joint_states",

@@ -34,15 +34,15 @@ from std_srvs.srv import SetBool, Trigger
 
 from gear_dynamics_ros import recording, replay
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.node_topics import COMMANDS, message_type, quality
+from gear_dynamics_ros.node_topics import message_type, quality
 from gear_dynamics_ros.parameters import specifications
 from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN, PACE
-from gear_dynamics_ros.topics import TOPICS, resolve
+from gear_dynamics_ros.topics import COMMAND_TOPICS, TOPICS, resolve
 
 CHUNK = 200
 CHUNK_NS = 2_000_000
 PATIENCE = 120.0  # a first start compiles the kernel
-OUTPUTS = [key for key in TOPICS if key not in COMMANDS and key != "clock"]
+OUTPUTS = [key for key in TOPICS if key not in COMMAND_TOPICS and key != "clock"]
 STAMPED = ["joint_states", "driving_bearing_force", "driven_bearing_force"]
 
 
@@ -71,7 +71,7 @@ class Client:
             self.node.create_subscription(
                 message_type(topic.type), resolve(topic), self.heard[key].append, quality(topic)
             )
-        for key in COMMANDS:
+        for key in COMMAND_TOPICS:
             topic = TOPICS[key]
             self.publishers[key] = self.node.create_publisher(
                 message_type(topic.type), resolve(topic), quality(topic)
@@ -169,7 +169,7 @@ def test_every_output_comes_with_one_stamp_per_chunk(client):
 
 def test_types_and_names_are_those_promised(client):
     offered = dict(client.node.get_topic_names_and_types())
-    for key in [*OUTPUTS, *COMMANDS]:
+    for key in [*OUTPUTS, *COMMAND_TOPICS]:
         assert offered[resolve(TOPICS[key])] == [TOPICS[key].type]
     assert "/clock" not in offered
 

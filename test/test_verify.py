@@ -17,13 +17,14 @@ from gear_dynamics_ros import recording, replay
 from gear_dynamics_ros.cli.replay import main as replay_main
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.messages import Encoder
+from gear_dynamics_ros.messages import Encoder, message_class, serialize
 from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.recording.ring import Ring
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.recordings import RecorderSink
 from gear_dynamics_ros.run import Run
 from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN, Commands
+from gear_dynamics_ros.topics import FLOAT64, FLOAT_COMMANDS
 
 # What may be done between two chunks; "restore" takes up the state that "save" kept.
 DEEDS: tuple[Any, ...] = (
@@ -43,6 +44,15 @@ DEEDS: tuple[Any, ...] = (
 )
 CHUNK = 30  # samples
 SHORT = {"solver.chunk": 3e-4}
+
+
+def received(commands: Commands | None) -> list[tuple[str, bytes]]:
+    """The messages that bring these commands."""
+    if commands is None:
+        return []
+    message = message_class(FLOAT64)
+    values = {key: getattr(commands, name) for key, name in FLOAT_COMMANDS.items()}
+    return [(key, serialize(FLOAT64, message(data=value))) for key, value in values.items()]
 
 
 def perform(path: Path, deeds: Sequence[Any], parameters: Parameters) -> Path:
@@ -68,9 +78,9 @@ def perform(path: Path, deeds: Sequence[Any], parameters: Parameters) -> Path:
         elif deed == "split":
             sink.split()
         elif deed == "step":
-            run.step(commands)
+            run.step(commands, received(commands))
             commands = None
-    run.step(commands)
+    run.step(commands, received(commands))
     run.close()
     assert recorder.error is None
     return path
@@ -197,8 +207,10 @@ def nudge(name: str) -> Any:
         ("energy", 9, lambda m: bump(m.data, 2), "energy: mesh_loss", 270),
         ("meshing_state", 4, lambda m: setattr(m, "data", m.data - 1), "meshing_state: byte", 120),
         ("applied_command", 1, lambda m: bump(m.effort, 1), "", 60),
-        # The governor sets the torque: only the state tells that another was commanded.
-        ("applied_command", 1, lambda m: bump(m.effort, 0), "state commands.drive_torque", 90),
+        ("load_torque_command", 0, nudge("data"), "load_torque_command: load_torque", 60),
+        ("speed_command", 1, nudge("data"), "speed_command: speed", 210),
+        # The governor sets the torque: only what was asked for tells that another was commanded.
+        ("applied_command", 1, lambda m: bump(m.effort, 0), "drive_torque_command: drive_torque", 60),
     ],
 )
 def test_an_altered_message_is_found(

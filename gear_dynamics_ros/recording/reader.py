@@ -20,7 +20,7 @@ from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.parts import PartFile, Stored, open_parts
 from gear_dynamics_ros.samples import Samples
 from gear_dynamics_ros.signals import IMPACTS, Commands
-from gear_dynamics_ros.topics import OF_A_CHUNK, TOPICS, resolve
+from gear_dynamics_ros.topics import COMMAND_TOPICS, OF_A_CHUNK, TOPICS, resolve
 
 BLOCK_SAMPLES: Final = 20_000
 
@@ -319,6 +319,14 @@ class Recording:
         # Commands act with the first sample of a chunk, after what happened before it.
         return sorted((action for action in actions if action[0] >= part.first_sample), key=lambda a: a[0])
 
+    def received(self, number: int) -> list[tuple[int, str, Any]]:
+        """Commands as they came in part ``number``: sample from which they acted, key in TOPICS, message."""
+        keys = {self._names[key]: key for key in COMMAND_TOPICS}
+        return [
+            (self.sample(stored.time_ns), keys[stored.topic], _decoded(keys[stored.topic], stored.data))
+            for stored in self.parts[number].messages(keys)
+        ]
+
     def _gather(self, first: int, beyond: int, columns: list[int] | slice, width: int) -> NDArray[np.float64]:
         rows = np.empty((max(beyond - first, 0), width))
         if len(rows):
@@ -387,6 +395,13 @@ def open(path: str | Path) -> Recording:
         return Recording(path, parts, parse(parts[0].parameters))
     except UsageError as error:
         raise GearboxError(f"{parts[0].path}: {layout.PARAMETERS_ATTACHMENT}: {error}") from error
+
+
+def _decoded(topic: str, data: memoryview) -> Any:
+    try:
+        return deserialize(TOPICS[topic].type, data)
+    except Exception as error:  # rosbags has no common class for what it finds wrong with bytes
+        raise GearboxError(f"a message on {TOPICS[topic].name} is spoilt: {error!r}") from error
 
 
 def _event(data: bytes) -> Event:
