@@ -263,3 +263,25 @@ def test_without_the_waveform_there_is_nothing_to_verify(tmp_path: Path) -> None
     assert len(list(bag.messages("dte"))) == 5
     with pytest.raises(GearboxError, match=r"no waveform to compare: add waveform to recording\.topics"):
         replay.verify(bag)
+
+
+NOT_EVEN_A_BEGINNING = """
+import resource, sys
+from pathlib import Path
+sys.path.insert(0, {tests!r})
+from test_recorder import *
+resource.setrlimit(resource.RLIMIT_FSIZE, (0, resource.RLIM_INFINITY))
+try:
+    Recorded(Path(sys.argv[1]))
+except GearboxError as error:
+    print(error)
+"""
+
+
+def test_a_disk_on_which_nothing_fits_is_told_and_nothing_stays(tmp_path: Path) -> None:
+    code = NOT_EVEN_A_BEGINNING.format(tests=str(Path(__file__).parent))
+    path = tmp_path / "bag"
+    done = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert f"can't write in '{path}': File too large" in done.stdout
+    assert list(tmp_path.iterdir()) == []
