@@ -285,3 +285,37 @@ def test_a_disk_on_which_nothing_fits_is_told_and_nothing_stays(tmp_path: Path) 
     assert done.returncode == 0, done.stderr
     assert f"can't write in '{path}': File too large" in done.stdout
     assert list(tmp_path.iterdir()) == []
+
+
+FULL_MEANWHILE = """
+import resource, sys
+from pathlib import Path
+sys.path.insert(0, {tests!r})
+from test_recorder import *
+made = Recorded(Path(sys.argv[1]), **{{"solver.step": 1e-5, "recording.minimum_free": 0}})
+handed = []
+write = made.recorder.write
+made.recorder.write = lambda records: (handed.extend(records), write(records))
+if sys.argv[2] == "split":
+    made.steps(5)
+    made.recorder.split(made.engine.checkpoint(), made.parameters)
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[3]), resource.RLIM_INFINITY))
+made.steps(150)
+made.run.close()
+stats = made.recorder.stats
+print(made.recorder.error, len(handed), stats.messages, stats.lost, sep="|")
+"""
+
+
+@pytest.mark.parametrize(("first", "limit"), [("", 1_500_000), ("", 3_300_000), ("split", 600_000)])
+def test_what_a_full_disk_took_is_counted_to_the_message(tmp_path: Path, first: str, limit: int) -> None:
+    code = FULL_MEANWHILE.format(tests=str(Path(__file__).parent))
+    path = tmp_path / "bag"
+    arguments = [sys.executable, "-c", code, path, first, str(limit)]
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    error, *counts = done.stdout.strip().split("|")
+    handed, written, lost = map(int, counts)
+    assert "File too large" in error and lost > 0
+    assert written + lost == handed
+    assert sum(topic.messages for topic in recording.open(path).topics) == written
