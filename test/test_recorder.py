@@ -5,11 +5,14 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from gear_dynamics_ros import checkpoints, recording, replay
+from gear_dynamics_ros import checkpoints, recording, recordings, replay
+from gear_dynamics_ros.commands import Mailbox
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages import Encoder
@@ -19,6 +22,7 @@ from gear_dynamics_ros.recording.ring import Ring
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.recordings import RecorderSink, Recordings
 from gear_dynamics_ros.run import Run
+from gear_dynamics_ros.session import Session
 
 CHUNK = 200  # samples
 
@@ -319,3 +323,41 @@ def test_what_a_full_disk_took_is_counted_to_the_message(tmp_path: Path, first: 
     assert "File too large" in error and lost > 0
     assert written + lost == handed
     assert sum(topic.messages for topic in recording.open(path).topics) == written
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Iterator[Session]:
+    parameters = Parameters.from_flat({"recording.path": str(tmp_path / "bag"), "recording.mode": "ring"})
+    session = Session(Engine(parameters), Mailbox(parameters, 0), [], "/gearbox", lambda _: None)
+    session.begin_recording(beside=False)
+    yield session
+    session.finish("over")
+
+
+def test_a_recording_that_stopped_makes_way_for_another(session: Session, tmp_path: Path) -> None:
+    session.record(True)
+    shutil.rmtree(tmp_path / "bag")
+    stopped = session.recordings.current
+    assert stopped is not None
+    while stopped.error is None:
+        time.sleep(0.01)
+    with pytest.raises(GearboxError, match="has gone"):
+        session.split()
+    (tmp_path / "bag").mkdir()
+    assert session.record(True) == f"recording to {tmp_path / 'bag_2'}"
+    assert session.recorder_errors == [stopped.error]
+    assert session.split() == "split"
+    with pytest.raises(GearboxError, match="already recording to"):
+        session.record(True)
+    assert session.record(False) == f"recorded {tmp_path / 'bag_2'}"
+    assert session.recorder_errors == [stopped.error]
+
+
+def test_a_name_that_another_thread_takes_meanwhile_is_left_to_it(
+    session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = iter([tmp_path / "bag", tmp_path / "bag_2", tmp_path / "bag", tmp_path / "bag_3"])
+    monkeypatch.setattr(recordings, "_free", lambda _: next(names))
+    (tmp_path / "bag").mkdir()
+    assert session.snapshot().result() == tmp_path / "bag_2"
+    assert session.record(True) == f"recording to {tmp_path / 'bag_3'}"
