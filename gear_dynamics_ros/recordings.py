@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 from gear_dynamics_ros.engine import Engine
-from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages import Record
 from gear_dynamics_ros.recording.ring import Excerpt, Ring
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.run import Run
 from gear_dynamics_ros.signals import Chunk
+
+T = TypeVar("T")
 
 
 class RecorderSink:
@@ -103,14 +106,12 @@ class Recordings:
         if self._sink is not None:
             raise GearboxError(f"already recording to {self._sink.recorder.path}: switch it off first")
         engine = self._run.engine
+
+        def make(there: Path) -> Recorder:
+            return Recorder(there, engine.parameters, self._run.checkpoint(), self._epoch_ns, self._node)
+
         try:
-            recorder = Recorder(
-                _free(path) if beside else path,
-                engine.parameters,
-                self._run.checkpoint(),
-                self._epoch_ns,
-                self._node,
-            )
+            recorder = _make_beside(path, make) if beside else make(path)
         except GearboxError as error:
             self.refusal = str(error)
             raise
@@ -123,6 +124,8 @@ class Recordings:
         """Go on in a new file. Raises GearboxError if nothing is recorded."""
         if self._sink is None:
             raise GearboxError("nothing is recorded: call ~/record first")
+        if self._sink.recorder.error is not None:
+            raise GearboxError(self._sink.recorder.error)
         self._sink.split()
 
     def end(self) -> Recorder | None:
@@ -148,12 +151,25 @@ class Recordings:
 
         Takes as long as the disk does. Raises GearboxError if it can't be written.
         """
-        return excerpt.write(_free(self._require_path()), self._epoch_ns, self._node)
+        return _make_beside(
+            self._require_path(), lambda path: excerpt.write(path, self._epoch_ns, self._node)
+        )
 
     def _require_path(self) -> Path:
         if self._path is None:
             raise GearboxError("recording.path is empty: start the node with a path to record to")
         return self._path
+
+
+def _make_beside(path: Path, make: Callable[[Path], T]) -> T:
+    """What ``make`` makes at the first free of path, path_2, ...; another thread may be faster at a name."""
+    while True:
+        free = _free(path)
+        try:
+            return make(free)
+        except UsageError:
+            if not os.path.lexists(free):
+                raise
 
 
 def _free(path: Path) -> Path:

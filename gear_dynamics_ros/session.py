@@ -152,6 +152,7 @@ class Session:
     def record(self, wanted: bool) -> str:
         """Begin a recording, or finish the present one."""
         if wanted:
+            self._drop_the_stopped()
             path = self.live.call(lambda: self.recordings.begin(beside=True))
             self._tell()
             return f"recording to {path}"
@@ -202,6 +203,14 @@ class Session:
         more = self.live.call(restart)
         self._tell()
         return more
+
+    def _drop_the_stopped(self) -> None:
+        """Make way for another recording where an error stopped the present one."""
+        stopped = self.recordings.current
+        if stopped is not None and stopped.error is not None:
+            self._note_errors(stopped)
+            self.live.call(self.recordings.end)
+            stopped.close()
 
     def _record(self, *, beside: bool) -> str:
         try:

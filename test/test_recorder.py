@@ -5,11 +5,14 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from gear_dynamics_ros import checkpoints, recording, replay
+from gear_dynamics_ros import checkpoints, recording, recordings, replay
+from gear_dynamics_ros.commands import Mailbox
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages import Encoder
@@ -19,6 +22,7 @@ from gear_dynamics_ros.recording.ring import Ring
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.recordings import RecorderSink, Recordings
 from gear_dynamics_ros.run import Run
+from gear_dynamics_ros.session import Session
 
 CHUNK = 200  # samples
 
@@ -263,3 +267,97 @@ def test_without_the_waveform_there_is_nothing_to_verify(tmp_path: Path) -> None
     assert len(list(bag.messages("dte"))) == 5
     with pytest.raises(GearboxError, match=r"no waveform to compare: add waveform to recording\.topics"):
         replay.verify(bag)
+
+
+NOT_EVEN_A_BEGINNING = """
+import resource, sys
+from pathlib import Path
+sys.path.insert(0, {tests!r})
+from test_recorder import *
+resource.setrlimit(resource.RLIMIT_FSIZE, (0, resource.RLIM_INFINITY))
+try:
+    Recorded(Path(sys.argv[1]))
+except GearboxError as error:
+    print(error)
+"""
+
+
+def test_a_disk_on_which_nothing_fits_is_told_and_nothing_stays(tmp_path: Path) -> None:
+    code = NOT_EVEN_A_BEGINNING.format(tests=str(Path(__file__).parent))
+    path = tmp_path / "bag"
+    done = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert f"can't write in '{path}': File too large" in done.stdout
+    assert list(tmp_path.iterdir()) == []
+
+
+FULL_MEANWHILE = """
+import resource, sys
+from pathlib import Path
+sys.path.insert(0, {tests!r})
+from test_recorder import *
+made = Recorded(Path(sys.argv[1]), **{{"solver.step": 1e-5, "recording.minimum_free": 0}})
+handed = []
+write = made.recorder.write
+made.recorder.write = lambda records: (handed.extend(records), write(records))
+if sys.argv[2] == "split":
+    made.steps(5)
+    made.recorder.split(made.engine.checkpoint(), made.parameters)
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[3]), resource.RLIM_INFINITY))
+made.steps(150)
+made.run.close()
+stats = made.recorder.stats
+print(made.recorder.error, len(handed), stats.messages, stats.lost, sep="|")
+"""
+
+
+@pytest.mark.parametrize(("first", "limit"), [("", 1_500_000), ("", 3_300_000), ("split", 600_000)])
+def test_what_a_full_disk_took_is_counted_to_the_message(tmp_path: Path, first: str, limit: int) -> None:
+    code = FULL_MEANWHILE.format(tests=str(Path(__file__).parent))
+    path = tmp_path / "bag"
+    arguments = [sys.executable, "-c", code, path, first, str(limit)]
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    error, *counts = done.stdout.strip().split("|")
+    handed, written, lost = map(int, counts)
+    assert "File too large" in error and lost > 0
+    assert written + lost == handed
+    assert sum(topic.messages for topic in recording.open(path).topics) == written
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Iterator[Session]:
+    parameters = Parameters.from_flat({"recording.path": str(tmp_path / "bag"), "recording.mode": "ring"})
+    session = Session(Engine(parameters), Mailbox(parameters, 0), [], "/gearbox", lambda _: None)
+    session.begin_recording(beside=False)
+    yield session
+    session.finish("over")
+
+
+def test_a_recording_that_stopped_makes_way_for_another(session: Session, tmp_path: Path) -> None:
+    session.record(True)
+    shutil.rmtree(tmp_path / "bag")
+    stopped = session.recordings.current
+    assert stopped is not None
+    while stopped.error is None:
+        time.sleep(0.01)
+    with pytest.raises(GearboxError, match="has gone"):
+        session.split()
+    (tmp_path / "bag").mkdir()
+    assert session.record(True) == f"recording to {tmp_path / 'bag_2'}"
+    assert session.recorder_errors == [stopped.error]
+    assert session.split() == "split"
+    with pytest.raises(GearboxError, match="already recording to"):
+        session.record(True)
+    assert session.record(False) == f"recorded {tmp_path / 'bag_2'}"
+    assert session.recorder_errors == [stopped.error]
+
+
+def test_a_name_that_another_thread_takes_meanwhile_is_left_to_it(
+    session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = iter([tmp_path / "bag", tmp_path / "bag_2", tmp_path / "bag", tmp_path / "bag_3"])
+    monkeypatch.setattr(recordings, "_free", lambda _: next(names))
+    (tmp_path / "bag").mkdir()
+    assert session.snapshot().result() == tmp_path / "bag_2"
+    assert session.record(True) == f"recording to {tmp_path / 'bag_3'}"

@@ -44,6 +44,8 @@ _HEAD_BYTES: Final = 9  # opcode and length, which the length leaves out
 class McapWriter:
     """New MCAP file. Raises OSError when a write fails; ``abandon_chunk`` then makes way for ``finish``.
 
+    Where not even the beginning can be written, no file is left behind.
+
     ``survey`` tells what the file holds; its ``end`` is where the whole records end.
     """
 
@@ -58,7 +60,12 @@ class McapWriter:
         self._earliest = self._latest = 0
         self._synced = 0
         self._compressor = zstandard.ZstdCompressor(level=_LEVEL)
-        self._append(MCAP0_MAGIC + encode((Header(profile="ros2", library=library),)))
+        try:
+            self._append(MCAP0_MAGIC + encode((Header(profile="ros2", library=library),)))
+        except OSError:
+            self._file.close()
+            path.unlink()
+            raise
 
     def add_attachment(self, time_ns: int, name: str, media_type: str, data: bytes) -> None:
         """Write an attachment."""

@@ -102,6 +102,8 @@ class Recorder:
         self._parts: list[Part] = []
         self._written = 0
         self._flushed = 0
+        self._in_hand = 0  # messages of those handed over last that the file has taken
+        self._repeated = 0  # messages at the start of the part that stood in one before it
         self._lost = 0
         self._earlier_bytes = 0
         self._queue: deque[Sequence[Record] | _Split | _Checkpoint] = deque()
@@ -229,6 +231,8 @@ class Recorder:
                 self._part.add_checkpoint(item.name, item.state, self._time_ns(item.state))
             elif item:
                 for record in item:
+                    # Should its chunk not get to the disk, ``salvage`` counts it.
+                    self._in_hand += 1
                     self._write_record(record)
                 self._done(item)
             elif self._closing and not self._queue:
@@ -250,6 +254,7 @@ class Recorder:
             self._queued -= len(records)
             self._queued_bytes -= sum(len(record.data) for record in records)
             self._written += len(records)
+            self._in_hand = 0
             self._changed.notify_all()
 
     def _write_record(self, record: Record) -> None:
@@ -260,8 +265,8 @@ class Recorder:
 
     def _flush(self) -> None:
         self._part.flush()
-        self._flushed = self._written
         self._part.require_in_place()
+        self._flushed = self._written
         self._disk.watch(self._earlier_bytes + self._part.size)
 
     def _new_part(self) -> _PartWriter:
@@ -285,6 +290,7 @@ class Recorder:
             self._part = part
             self._splits -= 1
         sync_folder(self.path)
+        self._repeated = len(self._latched)
         for key, data in self._latched.items():
             self._write_record(Record(key, self._time_ns(start), data))
 
@@ -298,7 +304,8 @@ class Recorder:
     def _fail(self, error: Exception) -> None:
         with self._changed:
             self._error = f"recording '{self.path}' stopped: {_reason(error)}"
-            self._lost += self._queued
+            self._written += self._in_hand
+            self._lost += self._queued - self._in_hand
             self._queue.clear()
             self._queued = self._queued_bytes = 0
             self._changed.notify_all()
@@ -310,7 +317,10 @@ class Recorder:
             if not self._part.finished:
                 part, abandoned = self._part.salvage()
                 self._parts.append(part)
+                if not part.messages:
+                    abandoned = max(0, abandoned - self._repeated)
                 self._lost += abandoned
+                self._written -= abandoned
             self._write_metadata()
             self._finished = True
         except (OSError, _StoppedError):
