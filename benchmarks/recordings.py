@@ -13,7 +13,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from gear_dynamics_ros.recording.recover import recover
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
@@ -25,6 +24,7 @@ from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.messages import Encoder, Record
 from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.recording import layout
+from gear_dynamics_ros.recording.recover import recover
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.recordings import RecorderSink
 from gear_dynamics_ros.run import Run
