@@ -458,3 +458,13 @@ def is_refused(altered: recording.Recording) -> bool:
         return replay.verify(altered).difference is not None
     except GearboxError:
         return True
+
+
+def test_an_end_that_is_not_stored_is_told(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert replay_main(["verify", str(bag)]) == 0
+    assert "not concluded" not in capsys.readouterr().out
+    cut = alter(bag, tmp_path / "x", attachment=lambda name, data: None if name == "end.json" else data)
+    assert replay_main(["verify", str(cut)]) == 0
+    assert "the recording was not concluded" in capsys.readouterr().out
