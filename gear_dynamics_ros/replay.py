@@ -28,7 +28,7 @@ from gear_dynamics_ros.messages import Encoder, RowReader
 from gear_dynamics_ros.origin import Origin
 from gear_dynamics_ros.parameters import Parameters, differences, parse, updated
 from gear_dynamics_ros.recording.reader import Event, RecordedChunk, Recording
-from gear_dynamics_ros.signals import CHANGE, RESET, RESTORE, Commands, Status
+from gear_dynamics_ros.signals import CHANGE, END, EVENTS, RESET, RESTORE, Commands, Status
 from gear_dynamics_ros.topics import OF_A_CHUNK, is_rows
 
 # Stretches for each processor: when one is done early, there is another.
@@ -114,6 +114,8 @@ def verify(
         raise GearboxError(
             f"{recording.path} holds no waveform to compare: add waveform to recording.topics when recording"
         )
+    for name in recording.missing_files:
+        raise GearboxError(f"{recording.path}: metadata.yaml lists {name}, which is missing: put it back")
     legs = _legs_from(list(_legs(recording)), recording, start)
     stop = Flag()
     count = _Counter(progress)
@@ -132,9 +134,11 @@ def verify(
                     break
         finally:
             stop.set()
+    # Where the model parts from the recording tells more.
+    difference = found.difference or _lack(recording)
     simulated = found.samples * recording.sample_interval_ns / 1e9
     elapsed = time.perf_counter() - began
-    return Verification(found.samples, found.messages, found.states, simulated, elapsed, found.difference)
+    return Verification(found.samples, found.messages, found.states, simulated, elapsed, difference)
 
 
 def origins(recording: Recording) -> list[str]:
@@ -157,6 +161,18 @@ class _Counter:
             self._samples += samples
             if self._tell is not None:
                 self._tell(self._samples)
+
+
+def _lack(recording: Recording) -> Difference | None:
+    """A channel or a repeated message that should be there."""
+    for number, part in enumerate(recording.parts):
+        if part.complete or part.found.channels:
+            for topic in recording.lacking(number):
+                return Difference(part.first_sample, topic, "no channel", "one in recording.topics")
+        topic = recording.unrepeated(number) if number else ""
+        if topic:
+            return Difference(part.first_sample, topic, "another first message", "the last one before")
+    return None
 
 
 def _legs(recording: Recording) -> Iterator[_Leg]:
@@ -234,8 +250,11 @@ def _run(recording: Recording, legs: Sequence[_Leg], stop: Flag, count: _Counter
     start = legs[0].start()
     engine = Engine(start.parameters)
     engine.restore(start.checkpoint)
+    engine.command(engine.commands)  # which are part of the state too, and must be the same there
+    found = _Tally(difference=_compare_state(engine, start))
+    if found.difference is not None:
+        return found
     encoder = Encoder(start.parameters, recording.epoch_ns)
-    found = _Tally()
     for leg in legs:
         found = _sum(found, _run_leg(engine, encoder, recording, leg, stop, count))
         if found.difference is not None or stop.is_set():
@@ -259,30 +278,65 @@ def _run_leg(
         messages += len(recorded.messages)
         count.add(recorded.samples)
     if leg.end is None:
-        _act(engine, actions, None)
-    if leg.goal is None:
-        return _Tally(samples, messages)
+        difference = _act(engine, actions, None)
+    elif actions:
+        difference = _misplaced(engine, *actions[0])
+    else:
+        difference = None
+    if difference is not None or leg.goal is None:
+        return _Tally(samples, messages, difference=difference)
     return _Tally(samples, messages, 1, _compare_state(engine, leg.goal()))
 
 
 def _act(engine: Engine, actions: deque[Action], sample: int | None) -> Difference | None:
     """Let act what came before ``sample`` was made; all that is left if it is None.
 
-    The last that was asked of each command must then be in force.
+    Each must act at the very sample that has come. The last that was asked of each command must then be in
+    force.
     """
+    if sample is not None and engine.sample != sample:
+        return Difference(engine.sample, "waveform", f"nothing before sample {sample}", "samples")
     asked: dict[str, tuple[str, float]] = {}
     while actions and (sample is None or actions[0][0] <= sample):
-        _, action = actions.popleft()
+        at, action = actions.popleft()
+        if at != engine.sample:
+            return _misplaced(engine, at, action)
         if isinstance(action, Commands):
             engine.command(action)
         elif isinstance(action, Asked):
             asked |= {name: (action.topic, value) for name, value in action.changes.items()}
         else:
             _repeat(engine, action)
+            difference = _compare_event(engine, action)
+            if difference is not None:
+                return difference
     for name, (topic, value) in asked.items():
         in_force = getattr(engine.commands, name)
         if value != in_force and not _released(engine, name):
             return Difference(engine.sample, f"{topic}: {name}", value, in_force)
+    return None
+
+
+def _misplaced(engine: Engine, sample: int, action: Event | Commands | Asked) -> Difference:
+    """Of what should have acted where no chunk begins."""
+    kind = type(action).__name__.lower()
+    what = f"event {action.kind}" if isinstance(action, Event) else kind
+    return Difference(engine.sample, what, f"at sample {sample}", "no edge of a chunk there")
+
+
+def _compare_event(engine: Engine, event: Event) -> Difference | None:
+    """Compare what an event tells besides."""
+    what = f"event {event.kind}"
+    details = {CHANGE: bool(event.parameters), RESTORE: bool(event.checkpoint)}
+    if event.kind not in EVENTS or any(there != (kind == event.kind) for kind, there in details.items()):
+        return Difference(event.sample, what, "details of another kind", "its own")
+    now = event.sample * engine.parameters.solver.sample_interval_ns / 1e9
+    if event.time != now:
+        return Difference(event.sample, f"{what}: time", event.time, now)
+    counters = engine.counters._asdict()
+    # A run that ended within a chunk without a sample has counted there what is made again only later.
+    if event.kind != END and event.counters and event.counters != counters:
+        return Difference(event.sample, f"{what}: counters", event.counters, counters)
     return None
 
 
@@ -311,8 +365,6 @@ def _compare_chunk(
     engine: Engine, encoder: Encoder, kept: frozenset[str], recorded: RecordedChunk
 ) -> Difference | None:
     """Make the chunk, and compare its messages on the topics ``kept``."""
-    if engine.sample != recorded.first:
-        return Difference(engine.sample, "waveform", f"nothing before sample {recorded.first}", "samples")
     try:
         chunk = engine.advance(recorded.samples)
     except GearboxError as error:

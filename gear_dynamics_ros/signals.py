@@ -93,6 +93,8 @@ RESUME = "resume"
 CHANGE = "parameters"
 RESTORE = "restore"
 END = "end"
+# All kinds of events.
+EVENTS = frozenset({START, RESET, PAUSE, RESUME, CHANGE, RESTORE, END})
 CHANNEL_NAMES: tuple[str, ...] = tuple(channel.name for channel in CHANNELS)
 COLUMN: dict[str, int] = {channel.name: i for i, channel in enumerate((*CHANNELS, *ENERGIES))}
 

@@ -27,7 +27,7 @@ def alter(
     there, None for nothing.
     """
     target.mkdir()
-    for path in source.iterdir():
+    for path in sorted(source.iterdir()):
         if path.suffix == ".mcap":
             _alter_part(path, target / path.name, attachment or _same, message or _same)
         else:

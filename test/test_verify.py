@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import altering
 import numpy as np
 import pytest
 from altering import alter, in_json, on_topic
@@ -16,7 +19,7 @@ from hypothesis import strategies as st
 from gear_dynamics_ros import recording, replay
 from gear_dynamics_ros.cli.replay import main as replay_main
 from gear_dynamics_ros.engine import Engine
-from gear_dynamics_ros.errors import UsageError
+from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages import Encoder, message_class, serialize
 from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.recording.ring import Ring
@@ -352,3 +355,116 @@ def test_another_processor_or_kernel_is_named(bag: Path) -> None:
     kernel, processor = replay.origins(read)
     assert kernel.startswith("kernel hash: recorded by 000")
     assert processor.startswith("processor: recorded by an abacus, this is ")
+
+
+@pytest.mark.parametrize("key", ["sample", "time", "counters", "event"])
+@pytest.mark.parametrize("number", range(7))
+def test_an_event_told_otherwise_is_found(bag: Path, tmp_path: Path, number: int, key: str) -> None:
+    def change(message: Any) -> None:
+        content = json.loads(message.data)
+        if key == "event":
+            content[key] = "nothing known"
+        elif key == "counters":
+            content[key]["steps"] += 1
+        else:
+            content[key] -= 10  # a sample between two chunks, where nothing can act
+        message.data = json.dumps(content)
+
+    altered = recording.open(alter(bag, tmp_path / "x", message=on_topic("event", number, change)))
+    if number == 0 and key == "sample":
+        return  # the recording begins with it, as it may with one of before
+    assert is_refused(altered)
+
+
+@pytest.mark.parametrize("number", range(1, 4))
+def test_commands_at_no_edge_of_a_chunk_are_found(bag: Path, tmp_path: Path, number: int) -> None:
+    def earlier(message: Any) -> None:
+        message.header.stamp.nanosec -= 10_000
+
+    change = on_topic("applied_command", number, earlier)
+    assert is_refused(recording.open(alter(bag, tmp_path / "x", message=change)))
+
+
+@pytest.mark.parametrize("topic", ["event", "applied_command"])
+def test_what_a_part_should_begin_with_is_missed(bag: Path, tmp_path: Path, topic: str) -> None:
+    copy = shutil.copytree(bag, tmp_path / "bag")
+    seen: list[str] = []
+
+    def drop(key: str, data: bytes) -> bytes | None:
+        seen.extend([key] if key == topic else [])
+        return None if key == topic and len(seen) == 1 else data
+
+    (copy / "bag_1.mcap").unlink()
+    (tmp_path / "one").mkdir()
+    shutil.copy(bag / "bag_1.mcap", tmp_path / "one")
+    shutil.copy(alter(tmp_path / "one", tmp_path / "x", message=drop) / "bag_1.mcap", copy)
+    difference = replay.verify(recording.open(copy)).difference
+    assert difference is not None and difference.what == topic
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_file_that_is_missing_is_told(bag: Path, tmp_path: Path, number: int) -> None:
+    copy = shutil.copytree(bag, tmp_path / "bag")
+    (copy / f"bag_{number}.mcap").unlink()
+    with pytest.raises(GearboxError, match=f"lists bag_{number}.mcap, which is missing"):
+        replay.verify(recording.open(copy))
+
+
+def test_a_topic_taken_out_with_its_channel_is_missed(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    register = altering.Writer.register_channel
+
+    def without_dte(writer: Any, **channel: Any) -> int:
+        return -1 if channel["topic"] == "/gearbox/dte" else register(writer, **channel)
+
+    monkeypatch.setattr(altering.Writer, "register_channel", without_dte)
+    drop = alter(bag, tmp_path / "x", message=lambda topic, data: None if topic == "dte" else data)
+    difference = replay.verify(recording.open(drop)).difference
+    assert difference is not None and difference.what == "dte"
+
+
+def test_a_message_that_stands_twice_is_found(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    add = altering.Writer.add_message
+
+    def twice(writer: Any, **message: Any) -> None:
+        if len(message["data"]) == 12:  # a Float64
+            add(writer, **{**message, "data": message["data"][:4] + bytes(8)})
+        add(writer, **message)
+
+    monkeypatch.setattr(altering.Writer, "add_message", twice)
+    with pytest.raises(GearboxError, match="two messages of one chunk"):
+        replay.verify(recording.open(alter(bag, tmp_path / "x")))
+
+
+@pytest.mark.parametrize("name", ["drive_torque", "load_torque", "speed"])
+def test_commands_of_the_start_told_otherwise_are_found(tmp_path: Path, name: str) -> None:
+    whole = perform(
+        tmp_path / "bag", ["step"], Parameters.from_flat({**SHORT, "operation.control": "torque"})
+    )
+    change = in_json("start.json", lambda content: bump_entry(content["commands"], name))
+    difference = replay.verify(recording.open(alter(whole, tmp_path / "x", attachment=change))).difference
+    assert difference is not None and name in difference.what
+
+
+def bump_entry(values: dict[str, float], name: str) -> None:
+    values[name] = float(np.nextafter(values[name], np.inf))
+
+
+def is_refused(altered: recording.Recording) -> bool:
+    try:
+        return replay.verify(altered).difference is not None
+    except GearboxError:
+        return True
+
+
+def test_an_end_that_is_not_stored_is_told(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert replay_main(["verify", str(bag)]) == 0
+    assert "not concluded" not in capsys.readouterr().out
+    cut = alter(bag, tmp_path / "x", attachment=lambda name, data: None if name == "end.json" else data)
+    assert replay_main(["verify", str(cut)]) == 0
+    assert "the recording was not concluded" in capsys.readouterr().out

@@ -22,11 +22,12 @@ END_ATTACHMENT: Final = "end.json"
 RUN_METADATA: Final = "gear_dynamics_ros"
 ROSBAG2_METADATA: Final = "rosbag2"
 ROSBAG2_KEY: Final = "serialized_metadata"
+INFORMATION: Final = "rosbag2_bagfile_information"  # root of metadata.yaml
+FILES: Final = "relative_file_paths"
 ROS_DISTRO: Final = "jazzy"
 # Without these nothing could be run again.
 ALWAYS_RECORDED: Final = ("applied_command", "event")
 
-_INFORMATION = "rosbag2_bagfile_information"
 _CHECKPOINT = re.compile(r"checkpoint_(\d+)\.json")
 # The same text in a quarter of the time, which the recorder takes from the engine at every split.
 _DUMPER = yaml.CSafeDumper if yaml.__with_libyaml__ else yaml.SafeDumper
@@ -190,7 +191,7 @@ def bag_information(topics: Mapping[str, Topic], parts: Sequence[Part]) -> dict[
         ],
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [part.name for part in parts],
+        FILES: [part.name for part in parts],
         "files": [
             {
                 "path": part.name,
@@ -206,7 +207,7 @@ def bag_information(topics: Mapping[str, Topic], parts: Sequence[Part]) -> dict[
 
 def metadata_yaml(topics: Mapping[str, Topic], parts: Sequence[Part]) -> str:
     """Text of metadata.yaml."""
-    return yaml_text({_INFORMATION: bag_information(topics, parts)})
+    return yaml_text({INFORMATION: bag_information(topics, parts)})
 
 
 def embedded_metadata(topics: Mapping[str, Topic], part: Part) -> dict[str, str]:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.errors import GearboxError, UsageError
@@ -23,6 +24,7 @@ from gear_dynamics_ros.signals import IMPACTS, Commands
 from gear_dynamics_ros.topics import COMMAND_TOPICS, OF_A_CHUNK, TOPICS, resolve
 
 BLOCK_SAMPLES: Final = 20_000
+T = TypeVar("T")
 
 
 class Event(NamedTuple):
@@ -250,6 +252,8 @@ class Recording:
         gathered: dict[str, Stored] = {}
         from_ns = self.epoch_ns + first * self.sample_interval_ns
         for message in self.parts[number].messages(keys, from_ns):
+            if keys[message.topic] in gathered:
+                raise GearboxError(f"{self.path}: two messages of one chunk stand on {message.topic}")
             gathered[keys[message.topic]] = message
             if keys[message.topic] != "waveform":
                 continue
@@ -312,12 +316,45 @@ class Recording:
 
     def actions(self, number: int) -> list[tuple[int, Event | Commands]]:
         """What acted on the model in part ``number``, by sample and in order; not what it only repeats."""
-        part = self.parts[number]
         events = (_event(data) for data in self._latched_in(number, "event"))
-        actions: list[tuple[int, Event | Commands]] = [(event.sample, event) for event in events]
-        actions.extend(self._command(data) for data in self._latched_in(number, "applied_command"))
+        commands = (self._command(data) for data in self._latched_in(number, "applied_command"))
         # Commands act with the first sample of a chunk, after what happened before it.
-        return sorted((action for action in actions if action[0] >= part.first_sample), key=lambda a: a[0])
+        actions: list[tuple[int, Event | Commands]] = [
+            *self._within(number, ((event.sample, event) for event in events)),
+            *self._within(number, commands),
+        ]
+        return sorted(actions, key=lambda action: action[0])
+
+    def unrepeated(self, number: int) -> str:
+        """Key in TOPICS of what part ``number`` should repeat at its start, and does not; empty if none."""
+        part, before = self.parts[number], self.parts[number - 1]
+        if not part.found.chunks:  # it broke off before its first message
+            return ""
+        for key, topic in TOPICS.items():
+            last = before.last_message(self._names[key]) if topic.latched else None
+            first = next(part.messages([self._names[key]]), None) if last is not None else None
+            if last is not None and (first is None or first.data != last.data):
+                return key
+        return ""
+
+    def lacking(self, number: int) -> list[str]:
+        """Keys in TOPICS of what should be recorded in part ``number``, and has no channel there."""
+        part = self.parts[number]
+        names = {channel.topic for channel in part.found.channels.values()}
+        wanted = layout.recorded_topics(parse(part.parameters), self.node)
+        return [key for key, (name, _) in wanted.items() if name not in names]
+
+    @property
+    def missing_files(self) -> list[str]:
+        """Names of the files that metadata.yaml lists, and that are no part of the recording."""
+        path = self.path / layout.METADATA_FILE
+        if not path.is_file():
+            return []
+        try:
+            listed = yaml.safe_load(path.read_text(encoding="utf-8"))[layout.INFORMATION][layout.FILES]
+            return sorted({str(name) for name in listed} - {part.path.name for part in self.parts})
+        except (KeyError, OSError, TypeError, ValueError, yaml.YAMLError) as error:
+            raise GearboxError(f"{path} is spoilt: {' '.join(repr(error).split()):.200}") from error
 
     def received(self, number: int) -> list[tuple[int, str, Any]]:
         """Commands as they came in part ``number``: sample from which they acted, key in TOPICS, message."""
@@ -326,6 +363,17 @@ class Recording:
             (self.sample(stored.time_ns), keys[stored.topic], _decoded(keys[stored.topic], stored.data))
             for stored in self.parts[number].messages(keys)
         ]
+
+    def _within(self, number: int, found: Iterable[tuple[int, T]]) -> Iterator[tuple[int, T]]:
+        """What is of part ``number``: all but a message of before, with which it may begin."""
+        first = self.parts[number].first_sample
+        for position, (sample, action) in enumerate(found):
+            if sample >= first:
+                yield sample, action
+            elif position:
+                raise GearboxError(
+                    f"{self.parts[number].path}: it starts at sample {first} but holds what acted at {sample}"
+                )
 
     def _gather(self, first: int, beyond: int, columns: list[int] | slice, width: int) -> NDArray[np.float64]:
         rows = np.empty((max(beyond - first, 0), width))
