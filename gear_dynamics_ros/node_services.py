@@ -92,6 +92,6 @@ def _result(done: Future[T], tell: Callable[[T], str], response: Any) -> Any:
     try:
         response.message = tell(done.result())
         response.success = True
-    except (GearboxError, OSError) as error:
-        response.message = str(error)
+    except Exception as error:  # whatever went wrong on that thread, the caller waits for an answer
+        response.message = str(error) or repr(error)
     return response

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -27,6 +27,7 @@ from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages import Encoder, RowReader
 from gear_dynamics_ros.origin import Origin
 from gear_dynamics_ros.parameters import Parameters, differences, parse, updated
+from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.reader import Event, RecordedChunk, Recording
 from gear_dynamics_ros.signals import CHANGE, END, EVENTS, RESET, RESTORE, Commands, Status
 from gear_dynamics_ros.topics import OF_A_CHUNK, is_rows
@@ -179,6 +180,7 @@ def _legs(recording: Recording) -> Iterator[_Leg]:
     """The whole recording, leg by leg."""
     parts = recording.parts
     for number, part in enumerate(parts):
+        _require_order(recording, number)
         actions = _actions(recording, number)
         states = {part.first_sample: partial(_part_start, recording, number)}
         for sample, name in part.checkpoints.items():
@@ -189,6 +191,18 @@ def _legs(recording: Recording) -> Iterator[_Leg]:
         last = max(states)
         behind = [action for action in actions if action[0] >= last]
         yield _Leg(number, last, states[last], behind, None, _goal(recording, number))
+
+
+def _require_order(recording: Recording, number: int) -> None:
+    """Raise GearboxError where a part is of another run, or tells a state twice."""
+    part = recording.parts[number]
+    if part.run != recording.run:
+        raise GearboxError(f"{part.path} is of another run than {recording.parts[0].path.name}")
+    names = Counter(index.name for index in part.found.attachments)
+    names[layout.checkpoint_name(part.first_sample)] += 1
+    for name, count in names.items():
+        if count > 1:
+            raise GearboxError(f"{part.path} holds {name} twice, or beside the start: one of them is wrong")
 
 
 def _actions(recording: Recording, number: int) -> list[Action]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -220,7 +221,11 @@ class Session:
             return f"not recorded: {error}"
 
     def _write(self, excerpt: Excerpt) -> Path:
-        path = self.recordings.write(excerpt)
+        try:
+            path = self.recordings.write(excerpt)
+        except GearboxError as error:
+            self.recorder_errors.append(str(error))
+            raise
         self.snapshot_path = str(path)
         return path
 
@@ -254,10 +259,8 @@ class Session:
             recorder.close()
             self._note_errors(recorder)
         if self.recordings.ring is not None:
-            try:
+            with contextlib.suppress(GearboxError):  # which _write has noted
                 self._write(self.recordings.cut())
-            except GearboxError as error:
-                self.recorder_errors.append(str(error))
 
     def _note_errors(self, recorder: Recorder | None) -> None:
         if recorder is not None and recorder.error is not None:

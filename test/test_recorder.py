@@ -157,7 +157,7 @@ def test_a_folder_that_is_taken_away_is_noticed(
         path.mkdir()
         (path / "bag_0.mcap").write_bytes(b"mine")
     error = until_stopped(made)
-    assert "has gone: put it back" in error and str(path) in error
+    assert "has gone: what was written" in error and str(path) in error
     assert made.engine.sample > 10 * CHUNK
     if what == "another in its place":
         assert [file.name for file in path.iterdir()] == ["bag_0.mcap"]

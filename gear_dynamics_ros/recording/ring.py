@@ -18,6 +18,8 @@ from gear_dynamics_ros.topics import TOPICS
 
 # The ring forgets a segment at a time: it holds at most an eighth more than it must.
 SEGMENTS: Final = 8
+# Messages handed over together: between two such pieces the recorder looks at the disk.
+AT_ONCE: Final = 100
 
 
 @dataclass(slots=True)
@@ -50,7 +52,8 @@ class Excerpt(NamedTuple):
         for segment in self.segments:
             if segment is not first:
                 recorder.checkpoint(*segment.start)
-            recorder.write(segment.records)
+            for begin in range(0, len(segment.records), AT_ONCE):
+                recorder.write(segment.records[begin : begin + AT_ONCE])
         recorder.conclude(*self.end)
         recorder.close()
         if recorder.error is not None:

@@ -30,6 +30,8 @@ from gear_dynamics_ros.topics import TOPICS, Topic
 
 # Three seconds of every channel at 100 kHz: longer than a disk usually pauses.
 QUEUE_BYTES: Final = 64 << 20
+# What a state takes up in the queue.
+STATE_BYTES: Final = 1 << 14
 # Half of the second that a crash may cost; the rest is for the queue and the disk.
 FLUSH_SECONDS: Final = 0.5
 
@@ -162,16 +164,16 @@ class Recorder:
 
         ``parameters`` are those in force there.
         """
-        self._put(_Split(State(start, parameters)), 0, 0)
+        self._put(_Split(State(start, parameters)), 0, STATE_BYTES)
 
     def checkpoint(self, checkpoint: Mapping[str, Any], parameters: Parameters) -> None:
         """Keep the state right after the last chunk handed over, so that a replay may begin there."""
         name = layout.checkpoint_name(int(checkpoint["sample"]))
-        self._put(_Checkpoint(name, State(checkpoint, parameters)), 0, 0)
+        self._put(_Checkpoint(name, State(checkpoint, parameters)), 0, STATE_BYTES)
 
     def conclude(self, checkpoint: Mapping[str, Any], parameters: Parameters) -> None:
         """Keep the state in which the recording ends; nothing but ``close`` follows."""
-        self._put(_Checkpoint(layout.END_ATTACHMENT, State(checkpoint, parameters)), 0, 0)
+        self._put(_Checkpoint(layout.END_ATTACHMENT, State(checkpoint, parameters)), 0, STATE_BYTES)
 
     def close(self) -> None:
         """Write what is queued, finish the file and metadata.yaml. A second call does nothing."""
@@ -227,8 +229,10 @@ class Recorder:
             item = self._next(flush_at)
             if isinstance(item, _Split):
                 self._next_part(item.start)
+                self._release(STATE_BYTES)
             elif isinstance(item, _Checkpoint):
                 self._part.add_checkpoint(item.name, item.state, self._time_ns(item.state))
+                self._release(STATE_BYTES)
             elif item:
                 for record in item:
                     # Should its chunk not get to the disk, ``salvage`` counts it.
@@ -255,6 +259,12 @@ class Recorder:
             self._queued_bytes -= sum(len(record.data) for record in records)
             self._written += len(records)
             self._in_hand = 0
+            self._changed.notify_all()
+
+    def _release(self, size: int) -> None:
+        """Make room in the queue."""
+        with self._changed:
+            self._queued_bytes -= size
             self._changed.notify_all()
 
     def _write_record(self, record: Record) -> None:
@@ -399,7 +409,8 @@ class _PartWriter:
         """Raise _StoppedError if the file is no longer where it was made: writing to it would help nobody."""
         if not self._mcap.in_place:
             raise _StoppedError(
-                f"its file '{self._path.name}' has gone: put it back, or start a new recording"
+                f"its file '{self._path.name}' has gone: what was written is where it went; "
+                "start a new recording"
             )
 
     def finish(self) -> Part:
@@ -439,7 +450,7 @@ def _reason(error: Exception) -> str:
     if isinstance(error, _StoppedError):
         return str(error)
     if isinstance(error, FileNotFoundError):
-        return "its folder has gone: put it back, or start a new recording"
+        return "its folder has gone: what was written is where it went; start a new recording"
     if isinstance(error, OSError) and error.strerror:
         return f"{error.strerror}: what was written stays readable; free space or choose another path"
     return f"{str(error) or repr(error)}: what was written stays readable; start a new recording"
