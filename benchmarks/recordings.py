@@ -250,8 +250,8 @@ def verifying(place: Path) -> Lines:
     """Speed of replay verify on one core and on all, beside the engine alone on as many, in turns."""
     cores = sorted(os.sched_getaffinity(0))
     lines = [
-        f"Verifying {VERIFIED:g} s, every message of every chunk compared; beside it the engine alone, a thread "
-        "on each core and in turns with it. Times real time:",
+        f"Verifying {VERIFIED:g} s, every message of every chunk compared; beside it the engine alone, a "
+        "thread on each core and in turns with it. Times real time:",
         "",
         f"| parameters | model | verify, one core | verify, {len(cores)} cores | goal "
         f"| engine alone, {len(cores)} cores | verify of engine |",
