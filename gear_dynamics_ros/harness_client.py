@@ -26,6 +26,7 @@ from gear_dynamics_ros.messages import waveform_samples
 from gear_dynamics_ros.node_topics import quality
 from gear_dynamics_ros.process import noted_signals
 from gear_dynamics_ros.ros_client import ros_context
+from gear_dynamics_ros.signals import END, RESET
 from gear_dynamics_ros.topics import TOPICS, resolve
 
 # s of wall time after which a value that stays is said again: a gearbox may have a command timeout.
@@ -100,6 +101,7 @@ class _Session:
         self._reset: Any = self._ros.create_client(Trigger, f"{node}/reset")
         self._player: Player | None = None
         self._joined = False
+        self._reset_time = -1.0  # simulated time of the last reset told
         self._last_chunk = 0.0  # wall time
         self._last_time = 0.0  # simulated time
         self._end = (-1.0, "")  # simulated time and reason of the last end told
@@ -131,11 +133,22 @@ class _Session:
                     f"{self._name} refused the profile's parameters: {' '.join(answer.result.reason.split())}"
                 )
         if self._profile.reset:
-            answer = self._answer(self._reset.call_async(Trigger.Request()), "that it was reset", timeout)
-            if not answer.success:
-                raise GearboxError(f"{self._name} was not reset: {' '.join(answer.message.split())}")
+            self._put_back(timeout)
         self._joined = True
         self._last_chunk = time.monotonic()
+
+    def _put_back(self, timeout: float) -> None:
+        """Reset the gearbox, and learn when that was: chunks made before may arrive after the answer."""
+        before = self._last_time
+        answer = self._answer(self._reset.call_async(Trigger.Request()), "that it was reset", timeout)
+        if not answer.success:
+            raise GearboxError(f"{self._name} was not reset: {' '.join(answer.message.split())}")
+        deadline = time.monotonic() + timeout
+        while self._reset_time <= before:
+            left = deadline - time.monotonic()
+            if left <= 0.0:
+                raise GearboxError(f"{self._name} told no event of its reset for {timeout:g} s: see its log")
+            self._spin(left)
 
     def follow(self, timeout: float) -> None:
         """Return when the profile was played to its end."""
@@ -237,7 +250,9 @@ class _Session:
 
     def _take_event(self, message: String) -> None:
         event = json.loads(message.data)
-        if event["event"] == "end":
+        if event["event"] == RESET:
+            self._reset_time = float(event["time"])
+        elif event["event"] == END:
             self._end = (float(event["time"]), str(event["message"]) or "no reason given")
 
     def _take_chunks(self, message: Float64MultiArray) -> None:
@@ -262,6 +277,8 @@ class _Session:
         self._last_chunk = time.monotonic()
         self._last_time = float(samples[-1, 0])
         if not self._joined or (self._player is not None and self._player.finished):
+            return
+        if self._player is None and self._last_time < self._reset_time:
             return
         if self._player is None:
             self._player = Player(self._profile, channels)
