@@ -94,8 +94,8 @@ class Ring:
                 self._latched[record.topic] = record.data
         if chunk is not None and (self._engine.sample - segment.sample) * SEGMENTS >= self._samples:
             self._begin_segment()
-            while len(self._segments) > 1 and self._engine.sample - self._segments[1].sample >= self._samples:
-                self._segments.popleft()
+        while len(self._segments) > 1 and self._engine.sample - self._segments[1].sample >= self._samples:
+            self._segments.popleft()
 
     def close(self) -> None:
         """What nobody asked for is forgotten."""
