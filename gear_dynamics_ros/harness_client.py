@@ -261,13 +261,18 @@ class _Session:
         An executor turns once for each message, which costs more than the chunk itself: after a hold-up the
         harness would stay behind.
         """
-        self._take_chunk(message)
+        waiting = [message]
         with self._waveform.handle:
             for _ in range(TOPICS["waveform"].depth):
                 taken = self._waveform.handle.take_message(Float64MultiArray, False)
                 if taken is None:
                     break
-                self._take_chunk(taken[0])
+                waiting.append(taken[0])
+        if self._joined and self._player is None:
+            # Time 0 is now: from the oldest on, the first commands would come late by all that waited.
+            del waiting[:-1]
+        for message in waiting:
+            self._take_chunk(message)
         if self._player is not None:
             self._publish(self._player.commands())
             self._watch(self._player)

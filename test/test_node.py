@@ -87,7 +87,7 @@ class Client:
         """The next ``count`` messages of a topic."""
         known = len(self.heard[key])
         self.until(lambda: len(self.heard[key]) >= known + count)
-        return self.heard[key][known:]
+        return self.heard[key][known : known + count]
 
     def call(self, kind, name, request=None):
         client = self.node.create_client(kind, f"/gearbox/{name}")
@@ -120,8 +120,9 @@ class Client:
         return np.vstack([np.asarray(m.data).reshape(-1, len(CHANNEL_NAMES)) for m in self.heard["waveform"]])
 
     def statuses(self):
-        (array,) = self.hear("diagnostics")
-        return {status.name: status for status in array.status}
+        """The latest diagnostics; several may have come at once."""
+        self.hear("diagnostics")
+        return {status.name: status for status in self.heard["diagnostics"][-1].status}
 
     def close(self):
         self.executor.shutdown()
@@ -274,7 +275,7 @@ def test_time_stands_while_paused_and_step_makes_the_chunks_wanted(client):
     assert client.call(SetBool, "pause", SetBool.Request(data=True)).success
     client.until(lambda: client.events()[-1]["event"] == "pause")
     at = client.events()[-1]["sample"]
-    assert client.statuses()["gearbox: pacing"].level == DiagnosticStatus.STALE
+    client.until(lambda: client.statuses()["gearbox: pacing"].level == DiagnosticStatus.STALE)
     client.heard["waveform"].clear()
     assert client.call(Trigger, "step").success
     client.until(lambda: client.heard["waveform"])
@@ -577,7 +578,7 @@ def test_a_recording_that_cannot_begin_leaves_the_gearbox_running(ros_domain, pr
             # another place beside it is free
             answer = client.call(SetBool, "record", SetBool.Request(data=True))
             assert answer.success and answer.message.endswith("there_2")
-            assert client.statuses()["gearbox: recorder"].level == DiagnosticStatus.OK
+            client.until(lambda: client.statuses()["gearbox: recorder"].level == DiagnosticStatus.OK)
         node.signal(signal.SIGINT)
         assert node.wait() == 1
     finally:
@@ -600,8 +601,12 @@ def test_a_ring_is_written_when_asked_for_and_when_the_run_ends_by_a_fault(ros_d
         for name in ("bag", "bag_2"):
             answer = client.call(Trigger, "snapshot")
             assert answer.success and answer.message == f"recorded {tmp_path / name}"
-        values = {entry.key: entry.value for entry in client.statuses()["gearbox: recorder"].values}
-        assert values["last snapshot"] == str(tmp_path / "bag_2") and int(values["ring (bytes)"]) > 0
+
+        def told(key):
+            return {entry.key: entry.value for entry in client.statuses()["gearbox: recorder"].values}[key]
+
+        client.until(lambda: told("last snapshot") == str(tmp_path / "bag_2"))
+        assert int(told("ring (bytes)")) > 0
         # Beside the ring everything may be recorded for a while.
         assert client.call(SetBool, "record", SetBool.Request(data=True)).message.endswith("bag_3")
         client.hear("waveform", 100)
