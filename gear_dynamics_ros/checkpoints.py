@@ -45,6 +45,7 @@ class Saved(NamedTuple):
     checkpoint: dict[str, Any]  # as ``Engine.resume`` takes it
     version: str  # of the package that wrote it
     kernel_hash: str
+    history: str = ""  # in a recording: SHA-256 of what led to it; empty elsewhere
 
 
 def require_place(path: Path) -> None:
@@ -64,9 +65,9 @@ def take(engine: Engine) -> Saved:
     return of_this_version(engine.parameters, engine.checkpoint())
 
 
-def of_this_version(parameters: Parameters, checkpoint: dict[str, Any]) -> Saved:
+def of_this_version(parameters: Parameters, checkpoint: dict[str, Any], history: str = "") -> Saved:
     """A state of this process's own."""
-    return Saved(parameters, checkpoint, __version__, kernel_hash())
+    return Saved(parameters, checkpoint, __version__, kernel_hash(), history)
 
 
 def to_text(saved: Saved) -> str:
@@ -83,6 +84,7 @@ def from_text(text: str, name: str) -> Saved:
             _mapping(content["checkpoint"]),
             str(content["version"]),
             str(content["kernel_hash"]),
+            str(content.get("history", "")),
         )
     except UsageError as error:
         raise UsageError(f"checkpoint '{name}': {error}") from None

@@ -6,34 +6,32 @@ stretch must arrive at exactly the state, and the parameters, from which the nex
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from itertools import pairwise
 from threading import Event as Flag
 from threading import Lock
-from typing import Any, Final, NamedTuple, TypeAlias
-
-import numpy as np
+from typing import Final, NamedTuple, TypeAlias
 
 from gear_dynamics_ros import checkpoints, origin
 from gear_dynamics_ros.commands import RELEASED, changes_meant
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.messages import Encoder, RowReader
+from gear_dynamics_ros.fidelity import Difference, State, compare_event, compare_message, compare_state
+from gear_dynamics_ros.messages import Encoder
 from gear_dynamics_ros.origin import Origin
-from gear_dynamics_ros.parameters import Parameters, differences, parse, updated
+from gear_dynamics_ros.parameters import parse, updated
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.reader import Event, RecordedChunk, Recording
-from gear_dynamics_ros.signals import CHANGE, END, EVENTS, RESET, RESTORE, Commands, Status
-from gear_dynamics_ros.topics import OF_A_CHUNK, is_rows
+from gear_dynamics_ros.signals import CHANGE, RESET, RESTORE, Commands
+from gear_dynamics_ros.topics import OF_A_CHUNK
 
 # Stretches for each processor: when one is done early, there is another.
 SHARES: Final = 4
+_START: Final = (layout.PARAMETERS_ATTACHMENT, layout.START_ATTACHMENT)
 # The waveform tells more than what is taken from it.
 TELLING: Final = ("waveform", *(topic for topic in OF_A_CHUNK if topic != "waveform"))
 
@@ -48,18 +46,6 @@ class Asked(NamedTuple):
 Action: TypeAlias = tuple[int, Event | Commands | Asked]
 
 
-class Difference(NamedTuple):
-    """The first value that came out otherwise; None where there is none on that side."""
-
-    sample: int
-    what: str  # channel, topic and entry, or entry of a state
-    recorded: object
-    simulated: object
-
-    def __str__(self) -> str:
-        return f"sample {self.sample}, {self.what}: recorded {self.recorded!r}, now {self.simulated!r}"
-
-
 class Verification(NamedTuple):
     """What a re-simulation found."""
 
@@ -71,22 +57,21 @@ class Verification(NamedTuple):
     difference: Difference | None
 
 
-class _State(NamedTuple):
-    """A stored state, and the parameters in force there."""
+class _Place(NamedTuple):
+    """Where a state is stored."""
 
-    checkpoint: Mapping[str, Any]
-    parameters: Parameters
+    part: int
+    names: tuple[str, ...]  # of the attachments
 
 
 class _Leg(NamedTuple):
     """The way from one stored state to the next."""
 
-    part: int
     first: int  # sample
-    start: Callable[[], _State]
+    start: _Place
     actions: Sequence[Action]
     end: int | None  # sample before which the next leg begins in the same part
-    goal: Callable[[], _State] | None  # None where the recording broke off
+    goals: tuple[_Place, ...]  # none where the recording broke off
 
 
 class _Tally(NamedTuple):
@@ -94,6 +79,7 @@ class _Tally(NamedTuple):
     messages: int = 0
     states: int = 0
     difference: Difference | None = None
+    untold: Difference | None = None  # the first digest that does not fit what the recording tells
 
 
 def verify(
@@ -135,8 +121,8 @@ def verify(
                     break
         finally:
             stop.set()
-    # Where the model parts from the recording tells more.
-    difference = found.difference or _lack(recording)
+    # Where the model parts from the recording tells most.
+    difference = found.difference or _lack(recording) or found.untold
     simulated = found.samples * recording.sample_interval_ns / 1e9
     elapsed = time.perf_counter() - began
     return Verification(found.samples, found.messages, found.states, simulated, elapsed, difference)
@@ -182,15 +168,15 @@ def _legs(recording: Recording) -> Iterator[_Leg]:
     for number, part in enumerate(parts):
         _require_order(recording, number)
         actions = _actions(recording, number)
-        states = {part.first_sample: partial(_part_start, recording, number)}
+        states = {part.first_sample: _Place(number, _START)}
         for sample, name in part.checkpoints.items():
-            states[sample] = partial(_attached, recording, number, name)
+            states[sample] = _Place(number, (name,))
         for first, end in pairwise(states):
             within = [action for action in actions if first <= action[0] < end]
-            yield _Leg(number, first, states[first], within, end, states[end])
+            yield _Leg(first, states[first], within, end, (states[end],))
         last = max(states)
         behind = [action for action in actions if action[0] >= last]
-        yield _Leg(number, last, states[last], behind, None, _goal(recording, number))
+        yield _Leg(last, states[last], behind, None, _goals(recording, number))
 
 
 def _require_order(recording: Recording, number: int) -> None:
@@ -215,26 +201,23 @@ def _actions(recording: Recording, number: int) -> list[Action]:
     return sorted([*recording.actions(number), *asked], key=lambda action: action[0])
 
 
-def _goal(recording: Recording, number: int) -> Callable[[], _State] | None:
-    """The state at the end of a part: from which the next one starts, or in which the recording ended."""
-    if number + 1 < len(recording.parts):
-        return partial(_part_start, recording, number + 1)
+def _goals(recording: Recording, number: int) -> tuple[_Place, ...]:
+    """The states at the end of a part: its own, if it was concluded, and that of the next one's start."""
     end = recording.parts[number].end
-    return partial(_attached, recording, number, end) if end else None
+    own = (_Place(number, (end,)),) if end else ()
+    return own if number + 1 == len(recording.parts) else (*own, _Place(number + 1, _START))
 
 
-def _part_start(recording: Recording, number: int) -> _State:
-    part = recording.parts[number]
-    return _State(part.start, parse(part.parameters))
-
-
-def _attached(recording: Recording, number: int, name: str) -> _State:
-    part = recording.parts[number]
+def _load(recording: Recording, place: _Place) -> State:
+    part = recording.parts[place.part]
+    if place.names == _START:
+        return State(part.start, parse(part.parameters))
+    (name,) = place.names
     try:
         saved = checkpoints.from_text(part.attachment(name).decode(), f"{part.path.name}: {name}")
     except (UnicodeDecodeError, UsageError) as error:
         raise GearboxError(str(error)) from error
-    return _State(saved.checkpoint, saved.parameters)
+    return State(saved.checkpoint, saved.parameters, saved.history)
 
 
 def _legs_from(legs: list[_Leg], recording: Recording, start: float | None) -> list[_Leg]:
@@ -261,11 +244,11 @@ def _stretches(legs: Sequence[_Leg], most: int) -> list[list[_Leg]]:
 
 def _run(recording: Recording, legs: Sequence[_Leg], stop: Flag, count: _Counter) -> _Tally:
     """Run a stretch from the state at its start."""
-    start = legs[0].start()
+    start = _load(recording, legs[0].start)
     engine = Engine(start.parameters)
     engine.restore(start.checkpoint)
     engine.command(engine.commands)  # which are part of the state too, and must be the same there
-    found = _Tally(difference=_compare_state(engine, start))
+    found = _Tally(difference=compare_state(engine, start))
     if found.difference is not None:
         return found
     encoder = Encoder(start.parameters, recording.epoch_ns)
@@ -282,7 +265,7 @@ def _run_leg(
     actions = deque(leg.actions)
     kept = recording.recorded
     samples = messages = 0
-    for recorded in recording.recorded_chunks(leg.part, leg.first, leg.end):
+    for recorded in recording.recorded_chunks(leg.start.part, leg.first, leg.end):
         if stop.is_set():
             return _Tally(samples, messages)
         difference = _act(engine, actions, recorded.first) or _compare_chunk(engine, encoder, kept, recorded)
@@ -297,9 +280,25 @@ def _run_leg(
         difference = _misplaced(engine, *actions[0])
     else:
         difference = None
-    if difference is not None or leg.goal is None:
+    if difference is not None:
         return _Tally(samples, messages, difference=difference)
-    return _Tally(samples, messages, 1, _compare_state(engine, leg.goal()))
+    return _sum(_Tally(samples, messages), _arrive(engine, recording, leg))
+
+
+def _arrive(engine: Engine, recording: Recording, leg: _Leg) -> _Tally:
+    """Compare where the engine has come, and what was told on the way, with what was stored there."""
+    part, opening = leg.start
+    untold = None
+    for goal in leg.goals:
+        stored = _load(recording, goal)
+        difference = compare_state(engine, stored)
+        if difference is not None:
+            return _Tally(states=1, difference=difference)
+        if goal.part == part:
+            told = recording.history(part, opening, leg.first, leg.end)
+            what = f"the state at sample {leg.first}, or messages since then that no chunk makes: SHA-256"
+            untold = Difference(engine.sample, what, stored.history, told) if told != stored.history else None
+    return _Tally(states=len(leg.goals), untold=untold)
 
 
 def _act(engine: Engine, actions: deque[Action], sample: int | None) -> Difference | None:
@@ -321,7 +320,7 @@ def _act(engine: Engine, actions: deque[Action], sample: int | None) -> Differen
             asked |= {name: (action.topic, value) for name, value in action.changes.items()}
         else:
             _repeat(engine, action)
-            difference = _compare_event(engine, action)
+            difference = compare_event(engine, action)
             if difference is not None:
                 return difference
     for name, (topic, value) in asked.items():
@@ -336,22 +335,6 @@ def _misplaced(engine: Engine, sample: int, action: Event | Commands | Asked) ->
     kind = type(action).__name__.lower()
     what = f"event {action.kind}" if isinstance(action, Event) else kind
     return Difference(engine.sample, what, f"at sample {sample}", "no edge of a chunk there")
-
-
-def _compare_event(engine: Engine, event: Event) -> Difference | None:
-    """Compare what an event tells besides."""
-    what = f"event {event.kind}"
-    details = {CHANGE: bool(event.parameters), RESTORE: bool(event.checkpoint)}
-    if event.kind not in EVENTS or any(there != (kind == event.kind) for kind, there in details.items()):
-        return Difference(event.sample, what, "details of another kind", "its own")
-    now = event.sample * engine.parameters.solver.sample_interval_ns / 1e9
-    if event.time != now:
-        return Difference(event.sample, f"{what}: time", event.time, now)
-    counters = engine.counters._asdict()
-    # A run that ended within a chunk without a sample has counted there what is made again only later.
-    if event.kind != END and event.counters and event.counters != counters:
-        return Difference(event.sample, f"{what}: counters", event.counters, counters)
-    return None
 
 
 def _released(engine: Engine, name: str) -> bool:
@@ -385,69 +368,10 @@ def _compare_chunk(
         return Difference(recorded.first, "waveform", f"{recorded.samples} samples", f"none: {error}")
     made = {record.topic: record.data for record in encoder.chunk(chunk) if record.topic in kept}
     for topic in TELLING:
-        difference = _compare_message(recorded, topic, made.get(topic))
+        difference = compare_message(recorded, topic, made.get(topic))
         if difference is not None:
             return difference
     return None
-
-
-def _compare_message(recorded: RecordedChunk, topic: str, simulated: bytes | None) -> Difference | None:
-    stored = recorded.messages.get(topic)
-    if stored is None and simulated is None:
-        return None
-    if stored is None or simulated is None:
-        there, missing = "a message", "no message"
-        return Difference(
-            recorded.first, topic, there if stored else missing, there if simulated else missing
-        )
-    theirs = bytes(stored)  # memory views compare byte by byte
-    return None if theirs == simulated else _locate(recorded.first, topic, theirs, simulated)
-
-
-def _locate(first: int, topic: str, recorded: bytes, simulated: bytes) -> Difference:
-    """Where two messages differ."""
-    if is_rows(topic):
-        names, theirs = RowReader().read(recorded)
-        names_now, ours = RowReader().read(simulated)
-        if names != names_now:
-            return Difference(first, topic, names, names_now)
-        common = min(len(theirs), len(ours))
-        unlike = _bits(theirs[:common]) != _bits(ours[:common])
-        if unlike.any():
-            row, column = divmod(int(unlike.argmax()), unlike.shape[1])
-            what = names[column] if topic == "waveform" else f"{topic}: {names[column]}"
-            sample = first + row if topic == "waveform" else first
-            return Difference(sample, what, float(theirs[row, column]), float(ours[row, column]))
-        return Difference(first + common, topic, f"{len(theirs)} rows", f"{len(ours)} rows")
-    byte = next(i for i, (a, b) in enumerate(zip(recorded, simulated, strict=False)) if a != b)
-    return Difference(first, f"{topic}: byte {byte}", recorded[byte:].hex()[:16], simulated[byte:].hex()[:16])
-
-
-def _bits(rows: np.ndarray[Any, np.dtype[np.float64]]) -> np.ndarray[Any, np.dtype[np.int64]]:
-    return np.ascontiguousarray(rows).view(np.int64)
-
-
-def _compare_state(engine: Engine, goal: _State) -> Difference | None:
-    """Compare where the engine has come with what was stored there."""
-    if goal.checkpoint.get("status") != Status.RUNNING and engine.status is Status.RUNNING:
-        # It ended without a sample, in a chunk of which nothing was recorded.
-        engine.advance(1)
-    for name, value in differences(engine.parameters, goal.parameters).items():
-        return Difference(engine.sample, f"parameter {name}", value, engine.parameters.to_flat()[name])
-    stored, reached = _entries(goal.checkpoint), _entries(engine.checkpoint())
-    for name in sorted(stored.keys() | reached.keys()):
-        # The text of a double that JSON keeps is that of no other.
-        if json.dumps(stored.get(name)) != json.dumps(reached.get(name)):
-            return Difference(engine.sample, f"state {name}", stored.get(name), reached.get(name))
-    return None
-
-
-def _entries(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Entries of a mapping of mappings by dotted name."""
-    found: dict[str, Any] = {}
-    for name, value in tree.items():
-        found |= _entries(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
-    return found
 
 
 def _sum(left: _Tally, right: _Tally) -> _Tally:
@@ -456,4 +380,5 @@ def _sum(left: _Tally, right: _Tally) -> _Tally:
         left.messages + right.messages,
         left.states + right.states,
         right.difference,
+        left.untold or right.untold,
     )

@@ -110,10 +110,10 @@ def test_attachments_and_metadata_are_there(made: Made, reports: list[dict[str, 
     for number, report in enumerate(reports):
         assert report["profile"] == "ros2"
         kinds = {name: entry["media_type"] for name, entry in report["attachments"].items()}
-        states = (("checkpoint_2600", "checkpoint_5200"), ("checkpoint_8600", "checkpoint_11200", "end"))
+        checkpoints = (("checkpoint_2600", "checkpoint_5200"), ("checkpoint_8600", "checkpoint_11200"))
         assert kinds == {
             "parameters.yaml": "application/yaml",
-            **{f"{name}.json": "application/json" for name in ("start", *states[number])},
+            **{f"{name}.json": "application/json" for name in ("start", *checkpoints[number], "end")},
         }
         assert json.loads(report["attachments"]["start.json"]["text"])["sample"] == number * 6000
         viscosity = ("viscosity: 0.0228", "viscosity: 0.0229")[number]

@@ -447,14 +447,14 @@ def test_an_attachment_is_read_by_itself_and_checked(bag: Path, tmp_path: Path) 
     path = tmp_path / "spoilt.mcap"
     path.write_bytes(content)
     with path.open("rb") as stream:
-        parameters, start = survey(stream).attachments
+        parameters, start, *_ = survey(stream).attachments
         assert json.loads(read_attachment(stream, start))["sample"] == 0
         with pytest.raises(GearboxError, match="checksum"):
             read_attachment(stream, parameters)
     report = recovered(path, tmp_path / "out")
     assert (report.parts[0].spoilt_attachments, report.whole) == (1, False)
     with (tmp_path / "out" / "out_0.mcap").open("rb") as stream:
-        assert [entry.name for entry in survey(stream).attachments] == ["start.json"]
+        assert [entry.name for entry in survey(stream).attachments] == ["start.json", "end.json"]
     with pytest.raises(GearboxError, match=r"parameters\.yaml"):
         recording.open(tmp_path / "out")
 

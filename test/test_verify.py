@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import math
 import shutil
 import tempfile
 from collections.abc import Sequence
@@ -15,6 +17,7 @@ import pytest
 from altering import alter, in_json, on_topic
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
 
 from gear_dynamics_ros import recording, replay
 from gear_dynamics_ros.cli.replay import main as replay_main
@@ -26,7 +29,7 @@ from gear_dynamics_ros.recording.ring import Ring
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.recordings import RecorderSink
 from gear_dynamics_ros.run import Run
-from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN, Commands
+from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN, PACE, Commands
 from gear_dynamics_ros.topics import FLOAT64, FLOAT_COMMANDS
 
 # What may be done between two chunks; "restore" takes up the state that "save" kept.
@@ -63,7 +66,8 @@ def perform(path: Path, deeds: Sequence[Any], parameters: Parameters) -> Path:
     engine = Engine(parameters)
     recorder = Recorder(path, parameters, engine.checkpoint(), 0)
     sink = RecorderSink(recorder, engine)
-    run = Run(engine, Encoder(parameters, 0), [sink])
+    encoder = Encoder(parameters, 0)
+    run = Run(engine, encoder, [sink])
     saved = (run.engine.parameters, run.checkpoint())
     commands = None
     for deed in deeds:
@@ -80,6 +84,9 @@ def perform(path: Path, deeds: Sequence[Any], parameters: Parameters) -> Path:
             run.restore(saved[1], "as saved")
         elif deed == "split":
             sink.split()
+        elif deed == "tell":
+            now_ns = engine.sample * parameters.solver.sample_interval_ns
+            run.emit([encoder.model_info(now_ns, '{"told": 1}'), encoder.pacing(now_ns, range(len(PACE)))])
         elif deed == "step":
             run.step(commands, received(commands))
             commands = None
@@ -179,7 +186,7 @@ def test_the_recording_that_is_altered_below_verifies_as_it_is(bag: Path, tmp_pa
     for path in (bag, alter(bag, tmp_path / "copy")):
         result = replay.verify(recording.open(path))
         assert result.difference is None
-        assert result.states == 7
+        assert result.states == 8
 
 
 def bump(values: Any, index: int = 0) -> None:
@@ -272,6 +279,94 @@ def entry(name: str, index: int | None = None) -> Any:
 def test_an_altered_state_is_found(bag: Path, tmp_path: Path, name: str, change: Any) -> None:
     altered = alter(bag, tmp_path / "x", attachment=in_json(name, change))
     assert replay.verify(recording.open(altered)).difference is not None
+
+
+def overtaken(tmp_path: Path) -> Path:
+    """A recording of what leaves no trace in a sample: overridden, only described, or read by nothing."""
+    deeds = [
+        "step",
+        "tell",
+        {"oil.viscosity": 0.03},
+        {"oil.viscosity": 0.04},
+        "step",
+        "split",
+        "tell",
+        "step",
+    ]
+    return perform(tmp_path / "bag", deeds, Parameters.from_flat({**SHORT, "solver.chunk": 3e-4}))
+
+
+def replaced(wanted: str, old: bytes, new: bytes | None) -> Any:
+    """Change of the contents named ``wanted`` that hold ``old``; left out where ``new`` is None."""
+
+    def change(name: str, data: bytes) -> bytes | None:
+        if name != wanted or old not in data:
+            return data
+        return None if new is None else data.replace(old, new)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("kind", "wanted", "old", "new"),
+    [
+        ("message", "event", b'{"oil.viscosity": 0.03}', b'{"oil.viscosity": 0.02}'),
+        ("message", "event", b'"event": "start"', None),
+        ("message", "model_info", b'"told": 1', b'"told": 2'),
+        ("message", "model_info", b'"told": 1', None),
+        ("message", "pacing", b"late", b"hate"),
+        ("message", "pacing", b"late", None),
+        ("attachment", "start.json", b'"impact_speed": [0.001', b'"impact_speed": [0.002'),
+    ],
+)
+def test_what_no_sample_depends_on_is_guarded_too(
+    tmp_path: Path, kind: str, wanted: str, old: bytes, new: bytes | None
+) -> None:
+    found = recording.open(alter(overtaken(tmp_path), tmp_path / "x", **{kind: replaced(wanted, old, new)}))
+    difference = replay.verify(found).difference
+    assert difference is not None and "messages since then" in difference.what
+    assert len(str(difference.recorded)) == len(str(difference.simulated)) == 64
+
+
+CHUNK_TOPICS = ("/joint_states", *(f"/gearbox/{name}" for name in (
+    "dte", "mesh_force", "pressure_angle", "bearing_force/driving", "bearing_force/driven",
+    "meshing_state", "energy", "impacts", "waveform",
+)))  # fmt: skip
+
+
+def numbered(content: bytes) -> bytes:
+    return len(content).to_bytes(8, "little") + content
+
+
+def test_the_digests_are_those_that_the_documentation_describes(bag: Path) -> None:
+    for path in sorted(bag.glob("*.mcap")):
+        with path.open("rb") as stream:
+            reader = make_reader(stream)
+            attached = {entry.name: entry for entry in reader.iter_attachments()}
+            told = [
+                (message.log_time, numbered(channel.topic.encode()), numbered(message.data))
+                for _, channel, message in reader.iter_messages(log_time_order=False)
+                if channel.topic not in CHUNK_TOPICS
+            ]
+        opening = numbered(attached["parameters.yaml"].data) + numbered(attached["start.json"].data)
+        begin = int(json.loads(attached["start.json"].data)["sample"]) * 10_000
+        later = [name for name in attached if name not in ("parameters.yaml", "start.json")]
+        for name in later:
+            end = math.inf if name == "end.json" else attached[name].log_time
+            stretch = [
+                topic + time.to_bytes(8, "little") + data for time, topic, data in told if begin <= time < end
+            ]
+            expected = hashlib.sha256(opening + b"".join(stretch)).hexdigest()
+            assert json.loads(attached[name].data)["history"] == expected
+            opening, begin = numbered(attached[name].data), attached[name].log_time
+        assert later[-1] == "end.json" and len(later) >= 2
+
+
+def test_a_part_alone_verifies_to_its_end(tmp_path: Path) -> None:
+    bag = overtaken(tmp_path)
+    for path in bag.glob("*.mcap"):
+        result = replay.verify(recording.open(path))
+        assert result.difference is None and result.states == 1
 
 
 @pytest.mark.parametrize(

@@ -54,7 +54,7 @@ class PartFile:
 
     @property
     def end(self) -> str:
-        """Name of the attachment with the state in which the recording ended; empty if there is none."""
+        """Name of the attachment with the state in which the part ended; empty if there is none."""
         found = [index.name for index in self.found.attachments if index.name == layout.END_ATTACHMENT]
         return found[-1] if found else ""
 

@@ -18,6 +18,7 @@ from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages import RowReader, applied_commands, deserialize, stamp_ns
 from gear_dynamics_ros.parameters import Parameters, parse
 from gear_dynamics_ros.recording import layout
+from gear_dynamics_ros.recording.history import TOLD, History
 from gear_dynamics_ros.recording.parts import PartFile, Stored, open_parts
 from gear_dynamics_ros.samples import Samples
 from gear_dynamics_ros.signals import IMPACTS, Commands
@@ -229,7 +230,7 @@ class Recording:
         Raises GearboxError where samples are missing or doubled.
         """
         expected: int | None = None
-        from_ns = None if first is None else self.epoch_ns + first * self.sample_interval_ns
+        from_ns = None if first is None else self._time_ns(first)
         for time_ns, samples in self._waveform(from_ns):
             begin = self.sample(time_ns) - len(samples) + 1
             if expected is not None and begin != expected:
@@ -250,7 +251,7 @@ class Recording:
         keys = {self._names[key]: key for key in OF_A_CHUNK}
         read = RowReader()
         gathered: dict[str, Stored] = {}
-        from_ns = self.epoch_ns + first * self.sample_interval_ns
+        from_ns = self._time_ns(first)
         for message in self.parts[number].messages(keys, from_ns):
             if keys[message.topic] in gathered:
                 raise GearboxError(f"{self.path}: two messages of one chunk stand on {message.topic}")
@@ -363,6 +364,24 @@ class Recording:
             (self.sample(stored.time_ns), keys[stored.topic], _decoded(keys[stored.topic], stored.data))
             for stored in self.parts[number].messages(keys)
         ]
+
+    def history(self, number: int, opening: Sequence[str], first: int, end: int | None) -> str:
+        """Digest of what is told in part ``number`` between the samples ``first`` and ``end``.
+
+        ``opening`` names the attachments from which that stretch begins. It must be that of the state at its
+        end.
+        """
+        part = self.parts[number]
+        found = History(*(part.attachment(name) for name in opening))
+        end_ns = math.inf if end is None else self._time_ns(end)
+        for message in part.messages([self._names[key] for key in TOLD], self._time_ns(first)):
+            if message.time_ns >= end_ns:
+                break
+            found.add(*message)
+        return found.text()
+
+    def _time_ns(self, sample: int) -> int:
+        return self.epoch_ns + sample * self.sample_interval_ns
 
     def _within(self, number: int, found: Iterable[tuple[int, T]]) -> Iterator[tuple[int, T]]:
         """What is of part ``number``: all but a message of before, with which it may begin."""

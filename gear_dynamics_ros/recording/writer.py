@@ -23,6 +23,7 @@ from gear_dynamics_ros.messages import Record
 from gear_dynamics_ros.origin import present
 from gear_dynamics_ros.parameters import Parameters, dump
 from gear_dynamics_ros.recording import layout
+from gear_dynamics_ros.recording.history import TOLD, History
 from gear_dynamics_ros.recording.layout import Part, RunMetadata
 from gear_dynamics_ros.recording.mcap_writer import McapWriter
 from gear_dynamics_ros.threads import name_thread
@@ -231,7 +232,7 @@ class Recorder:
                 self._next_part(item.start)
                 self._release(STATE_BYTES)
             elif isinstance(item, _Checkpoint):
-                self._part.add_checkpoint(item.name, item.state, self._time_ns(item.state))
+                self._add_state(item.name, item.state)
                 self._release(STATE_BYTES)
             elif item:
                 for record in item:
@@ -273,6 +274,9 @@ class Recorder:
         self._part.write(record, self._sequences[record.topic])
         self._sequences[record.topic] += 1
 
+    def _add_state(self, name: str, state: State) -> None:
+        self._part.add_state(name, state, self._time_ns(state))
+
     def _flush(self) -> None:
         self._part.flush()
         self._part.require_in_place()
@@ -288,6 +292,7 @@ class Recorder:
         self._flushed = self._written
 
     def _next_part(self, start: State) -> None:
+        self._add_state(layout.END_ATTACHMENT, start)
         self._finish_part()
         part = self._new_part()
         try:
@@ -375,6 +380,7 @@ class _PartWriter:
         self._topics = topics
         self._channels = {key: number for number, key in enumerate(topics, start=1)}
         self._mcap = McapWriter(path, f"{layout.RUN_METADATA} {__version__}")
+        self._history = History()
         self.finished = False
 
     @property
@@ -385,20 +391,26 @@ class _PartWriter:
     def begin(self, run: RunMetadata, start: State) -> None:
         """Attachments and channels: whatever a reader needs before the first message."""
         self._mcap.add_metadata(layout.RUN_METADATA, run.to_text())
-        self._attach(run.epoch_ns, layout.PARAMETERS_ATTACHMENT, "yaml", dump(start.parameters))
-        self._attach(run.epoch_ns, layout.START_ATTACHMENT, "json", json.dumps(start.checkpoint))
+        parameters, state = dump(start.parameters), json.dumps(start.checkpoint)
+        self._attach(run.epoch_ns, layout.PARAMETERS_ATTACHMENT, "yaml", parameters)
+        self._attach(run.epoch_ns, layout.START_ATTACHMENT, "json", state)
+        self._history = History(parameters.encode(), state.encode())
         self._mcap.add_definitions(*layout.definitions(self._topics.values()))
         self._mcap.sync()
 
     def write(self, record: Record, sequence: int) -> None:
         """Add a message."""
         self._mcap.add_message(self._channels[record.topic], sequence, record.time_ns, record.data)
+        if record.topic in TOLD:
+            self._history.add(self._topics[record.topic][0], record.time_ns, record.data)
 
-    def add_checkpoint(self, name: str, state: State, time_ns: int) -> None:
-        """Attach a state, behind all messages before it."""
+    def add_state(self, name: str, state: State, time_ns: int) -> None:
+        """Attach a state, behind all messages before it, with the digest of what led to it."""
         self._mcap.end_chunk()
-        saved = checkpoints.of_this_version(state.parameters, dict(state.checkpoint))
-        self._attach(time_ns, name, "json", checkpoints.to_text(saved))
+        saved = checkpoints.of_this_version(state.parameters, dict(state.checkpoint), self._history.text())
+        text = checkpoints.to_text(saved)
+        self._attach(time_ns, name, "json", text)
+        self._history = History(text.encode())
 
     def flush(self) -> None:
         """Bring every message to the disk."""
