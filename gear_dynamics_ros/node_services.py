@@ -31,18 +31,27 @@ def create_services(node: Node, active: Find, restored: Callable[[Session], None
         finally:
             restored(session)
 
+    def step(_: Any) -> float | Future[float]:
+        return active().step()
+
+    def snapshot(_: Any) -> str | Future[str]:
+        return active().snapshot()
+
+    def record(request: Any) -> str | Future[str]:
+        return active().start_recording() if request.data else active().end_recording()
+
     plain: dict[str, tuple[Any, Act]] = {
         "reset": (Trigger, lambda _: active().reset()),
         "split": (Trigger, lambda _: active().split()),
         "save_checkpoint": (Trigger, lambda _: active().save_checkpoint()),
         "restore_checkpoint": (Trigger, restore),
         "pause": (SetBool, lambda request: active().pause(request.data)),
-        "record": (SetBool, lambda request: active().record(request.data)),
     }
     for name, (kind, act) in plain.items():
         node.create_service(kind, f"~/{name}", _serve(act))
-    _create_slow_service(node, "step", lambda: active().step(), lambda time: f"simulated {time:.9g} s")
-    _create_slow_service(node, "snapshot", lambda: active().snapshot(), lambda path: f"recorded {path}")
+    _create_slow_service(node, Trigger, "step", step, lambda time: f"simulated {time:.9g} s")
+    _create_slow_service(node, Trigger, "snapshot", snapshot, str)
+    _create_slow_service(node, SetBool, "record", record, str)
 
 
 def _serve(act: Act) -> Callable[[Any, Any], Any]:
@@ -59,7 +68,7 @@ def _serve(act: Act) -> Callable[[Any, Any], Any]:
 
 
 def _create_slow_service(
-    node: Node, name: str, start: Callable[[], Future[T]], tell: Callable[[T], str]
+    node: Node, kind: Any, name: str, start: Callable[[Any], T | Future[T]], tell: Callable[[T], str]
 ) -> None:
     """A service answered, in words, when what it starts is done; meanwhile all other calls are served.
 
@@ -68,14 +77,19 @@ def _create_slow_service(
     """
     under_way: dict[int, Future[T]] = {}
 
-    def begin(_: Any, response: Any) -> Any:
+    def begin(request: Any, response: Any) -> Any:
         try:
-            under_way[id(response)] = start()
-        except GearboxError as error:
+            started = start(request)
+        except (GearboxError, OSError) as error:
             response.message = str(error)
+            return response
+        if isinstance(started, Future):
+            under_way[id(response)] = started
+        else:
+            response.message, response.success = tell(started), True
         return response
 
-    service = node.create_service(Trigger, f"~/{name}", begin)
+    service = node.create_service(kind, f"~/{name}", begin)
     send = service.send_response
 
     def send_when_done(response: Any, header: Any) -> None:

@@ -55,7 +55,8 @@ class Session:
         self._cut_recording = False  # the end of the run, and not the operator, ended the recording
         self.recorder_errors: list[str] = []  # of recordings that are closed or never began
         self.snapshot_path = ""  # of the last one written
-        self._snapshots = ThreadPoolExecutor(max_workers=1, thread_name_prefix="snapshot")
+        # A disk may take its time: neither the engine nor whoever serves the operator waits for it.
+        self._writers = ThreadPoolExecutor(max_workers=1, thread_name_prefix="snapshot")
 
     @property
     def parameters(self) -> Parameters:
@@ -90,7 +91,7 @@ class Session:
     def finish(self, reason: str) -> None:
         """End the run and close every sink."""
         self.live.stop()
-        self._snapshots.shutdown()
+        self._writers.shutdown()
         recorder = self.recordings.current
         try:
             self._run.finish(reason)
@@ -150,26 +151,22 @@ class Session:
         self.live.call(self.recordings.split)
         return "split"
 
-    def record(self, wanted: bool) -> str:
-        """Begin a recording, or finish the present one."""
-        if wanted:
-            self._drop_the_stopped()
-            path = self.live.call(lambda: self.recordings.begin(beside=True))
-            self._tell()
-            return f"recording to {path}"
-        recorder = self.live.call(self.recordings.end)
-        if recorder is None:
-            return "nothing was recorded"
-        recorder.close()
-        self._note_errors(recorder)
-        if recorder.error is not None:
-            raise GearboxError(recorder.error)
-        return f"recorded {recorder.path}"
+    def start_recording(self) -> str:
+        """Record from now on, beside earlier recordings."""
+        self._drop_the_stopped()
+        path = self.live.call(lambda: self.recordings.begin(beside=True))
+        self._tell()
+        return f"recording to {path}"
 
-    def snapshot(self) -> Future[Path]:
-        """Make a recording of what the ring holds; the future gets its path."""
+    def end_recording(self) -> Future[str]:
+        """Record no more; the future is done when the recording is complete on the disk."""
+        recorder = self.live.call(self.recordings.end)
+        return self._writers.submit(self._close, recorder)
+
+    def snapshot(self) -> Future[str]:
+        """Make a recording of what the ring holds; the future is done when it is complete on the disk."""
         excerpt = self.live.call(self.recordings.cut)
-        return self._snapshots.submit(self._write, excerpt)
+        return self._writers.submit(self._write, excerpt)
 
     def save_checkpoint(self) -> str:
         """Write the state of this moment to ``checkpoint.path``."""
@@ -220,14 +217,23 @@ class Session:
             self.recorder_errors.append(str(error))
             return f"not recorded: {error}"
 
-    def _write(self, excerpt: Excerpt) -> Path:
+    def _close(self, recorder: Recorder | None) -> str:
+        if recorder is None:
+            return "nothing was recorded"
+        recorder.close()
+        self._note_errors(recorder)
+        if recorder.error is not None:
+            raise GearboxError(recorder.error)
+        return f"recorded {recorder.path}"
+
+    def _write(self, excerpt: Excerpt) -> str:
         try:
             path = self.recordings.write(excerpt)
         except GearboxError as error:
             self.recorder_errors.append(str(error))
             raise
         self.snapshot_path = str(path)
-        return path
+        return f"recorded {path}"
 
     def _checkpoint_path(self) -> Path:
         path = self.parameters.checkpoint.path

@@ -335,7 +335,7 @@ def session(tmp_path: Path) -> Iterator[Session]:
 
 
 def test_a_recording_that_stopped_makes_way_for_another(session: Session, tmp_path: Path) -> None:
-    session.record(True)
+    session.start_recording()
     shutil.rmtree(tmp_path / "bag")
     stopped = session.recordings.current
     assert stopped is not None
@@ -344,12 +344,12 @@ def test_a_recording_that_stopped_makes_way_for_another(session: Session, tmp_pa
     with pytest.raises(GearboxError, match="has gone"):
         session.split()
     (tmp_path / "bag").mkdir()
-    assert session.record(True) == f"recording to {tmp_path / 'bag_2'}"
+    assert session.start_recording() == f"recording to {tmp_path / 'bag_2'}"
     assert session.recorder_errors == [stopped.error]
     assert session.split() == "split"
     with pytest.raises(GearboxError, match="already recording to"):
-        session.record(True)
-    assert session.record(False) == f"recorded {tmp_path / 'bag_2'}"
+        session.start_recording()
+    assert session.end_recording().result() == f"recorded {tmp_path / 'bag_2'}"
     assert session.recorder_errors == [stopped.error]
 
 
@@ -359,5 +359,5 @@ def test_a_name_that_another_thread_takes_meanwhile_is_left_to_it(
     names = iter([tmp_path / "bag", tmp_path / "bag_2", tmp_path / "bag", tmp_path / "bag_3"])
     monkeypatch.setattr(recordings, "_free", lambda _: next(names))
     (tmp_path / "bag").mkdir()
-    assert session.snapshot().result() == tmp_path / "bag_2"
-    assert session.record(True) == f"recording to {tmp_path / 'bag_3'}"
+    assert session.snapshot().result() == f"recorded {tmp_path / 'bag_2'}"
+    assert session.start_recording() == f"recording to {tmp_path / 'bag_3'}"
