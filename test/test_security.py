@@ -230,3 +230,12 @@ def test_the_policy_grants_what_the_live_nodes_use_and_no_more(ros_domain, proce
     for name in start(process, tmp_path, "clock_rate:=10.0"):
         graph = observer.settled_graph(name, A_TOPIC[name])
         assert graph == policy_profile(name)
+
+
+def test_the_policy_grants_what_replay_publish_uses_and_no_more(ros_domain, process, observer, tmp_path):
+    simulate = process("simulate", "--duration", "0.01", "--output", tmp_path / "bag")
+    assert simulate.wait() == 0, simulate.output
+    # It opens all that it uses, and then waits for a gearbox.
+    process("replay", "publish", tmp_path / "bag", "--lockstep", "--wait", PATIENCE)
+    graph = observer.settled_graph("replay_publish", "/gearbox/command/joint")
+    assert graph == policy_profile("replay_publish")
