@@ -60,7 +60,8 @@ class Engine:
 
     def command(self, commands: Commands) -> None:
         """Put ``commands`` in force from the next sample on."""
-        self.commands = commands
+        # There is but one zero: a -0.0 counts as no change of 0.0, and must make none to the bits either.
+        self.commands = commands = Commands(*(value + 0.0 for value in commands))
         self._state["speed"], self._state["load_torque"] = commands.speed, commands.load_torque
         if not self._constants["governed"]:
             self._state["drive_torque"] = commands.drive_torque

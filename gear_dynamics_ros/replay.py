@@ -97,13 +97,8 @@ def verify(
     lacks the waveform.
     """
     began = time.perf_counter()
-    if "waveform" not in recording.recorded:
-        raise GearboxError(
-            f"{recording.path} holds no waveform to compare: add waveform to recording.topics when recording"
-        )
-    for name in recording.missing_files:
-        raise GearboxError(f"{recording.path}: metadata.yaml lists {name}, which is missing: put it back")
-    legs = _legs_from(list(_legs(recording)), recording, start)
+    _require_whole(recording)
+    legs = _legs(recording, start)
     stop = Flag()
     count = _Counter(progress)
     found = _Tally()
@@ -122,7 +117,9 @@ def verify(
         finally:
             stop.set()
     # Where the model parts from the recording tells most.
-    difference = found.difference or _lack(recording) or found.untold
+    difference = (
+        found.difference or _lack(recording, legs) or _surplus(recording, legs, found) or found.untold
+    )
     simulated = found.samples * recording.sample_interval_ns / 1e9
     elapsed = time.perf_counter() - began
     return Verification(found.samples, found.messages, found.states, simulated, elapsed, difference)
@@ -150,37 +147,85 @@ class _Counter:
                 self._tell(self._samples)
 
 
-def _lack(recording: Recording) -> Difference | None:
+def _require_whole(recording: Recording) -> None:
+    """Raise GearboxError where a file is lost, or nothing can be compared."""
+    for name in recording.lost_files:
+        gone = not (recording.path / name).exists()
+        what = "is missing: put it back" if gone else "has lost its start: replay recover keeps what is whole"
+        raise GearboxError(f"{recording.path}: metadata.yaml lists {name}, which {what}")
+    if not any(part.found.chunks for part in recording.parts):
+        raise GearboxError(
+            f"{recording.path} broke off before its first message: there is nothing to compare"
+        )
+    if "waveform" not in recording.recorded:
+        raise GearboxError(
+            f"{recording.path} holds no waveform to compare: add waveform to recording.topics when recording"
+        )
+
+
+def _lack(recording: Recording, legs: Sequence[_Leg]) -> Difference | None:
     """A channel or a repeated message that should be there."""
-    for number, part in enumerate(recording.parts):
-        if part.complete or part.found.channels:
-            for topic in recording.lacking(number):
-                return Difference(part.first_sample, topic, "no channel", "one in recording.topics")
-        topic = recording.unrepeated(number) if number else ""
+    first = legs[0].start.part
+    for number, part in enumerate(recording.parts[first:], first):
+        if not part.found.chunks:  # it broke off before its first message
+            continue
+        for topic in recording.lacking(number):
+            return Difference(part.first_sample, topic, "no channel", "one in recording.topics")
+        topic = recording.unrepeated(number) if number > first else ""
         if topic:
             return Difference(part.first_sample, topic, "another first message", "the last one before")
     return None
 
 
-def _legs(recording: Recording) -> Iterator[_Leg]:
-    """The whole recording, leg by leg."""
+def _surplus(recording: Recording, legs: Sequence[_Leg], found: _Tally) -> Difference | None:
+    """Messages of chunks that stand where no chunk has them; the end of what broke off may hold some."""
+    whole = all(part.end for part in recording.parts) and legs[0].start == _Place(0, _START)
+    count = recording.count(OF_A_CHUNK)
+    if whole and count != found.messages:
+        return Difference(recording.end_sample, "messages of chunks", count, found.messages)
+    return None
+
+
+def _legs(recording: Recording, start: float | None) -> list[_Leg]:
+    """The whole recording, leg by leg, or from the last state stored before ``start`` s on."""
     parts = recording.parts
-    for number, part in enumerate(parts):
-        _require_order(recording, number)
-        actions = _actions(recording, number)
-        states = {part.first_sample: _Place(number, _START)}
-        for sample, name in part.checkpoints.items():
-            states[sample] = _Place(number, (name,))
-        for first, end in pairwise(states):
-            within = [action for action in actions if first <= action[0] < end]
-            yield _Leg(first, states[first], within, end, (states[end],))
-        last = max(states)
-        behind = [action for action in actions if action[0] >= last]
-        yield _Leg(last, states[last], behind, None, _goals(recording, number))
+    number, sample = (0, parts[0].first_sample) if start is None else _last_before(recording, start)
+    legs = [leg for later in range(number, len(parts)) for leg in _legs_of(recording, later)]
+    return [leg for leg in legs if leg.first >= sample]
+
+
+def _last_before(recording: Recording, start: float) -> tuple[int, int]:
+    """Part and sample of the last state stored before ``start`` s."""
+    interval = recording.sample_interval_ns / 1e9
+    begin, end = recording.parts[0].first_sample * interval, recording.end_sample * interval
+    if not begin <= start <= end:
+        raise UsageError(f"--from {start:g} s lies outside the recording: it holds {begin:g} s to {end:g} s")
+    return max(
+        (number, sample)
+        for number, part in enumerate(recording.parts)
+        for sample in (part.first_sample, *part.checkpoints)
+        if sample * interval <= start
+    )
+
+
+def _legs_of(recording: Recording, number: int) -> Iterator[_Leg]:
+    """One part, leg by leg."""
+    part = recording.parts[number]
+    _require_order(recording, number)
+    actions = _actions(recording, number)
+    states = {part.first_sample: _Place(number, _START)}
+    for sample, name in part.checkpoints.items():
+        states[sample] = _Place(number, (name,))
+    for first, end in pairwise(states):
+        within = [action for action in actions if first <= action[0] < end]
+        yield _Leg(first, states[first], within, end, (states[end],))
+    last = max(states)
+    behind = [action for action in actions if action[0] >= last]
+    yield _Leg(last, states[last], behind, None, _goals(recording, number))
 
 
 def _require_order(recording: Recording, number: int) -> None:
-    """Raise GearboxError where a part is of another run, or tells a state twice."""
+    """Raise GearboxError where a part is of another run, tells a state twice or goes back in time."""
     part = recording.parts[number]
     if part.run != recording.run:
         raise GearboxError(f"{part.path} is of another run than {recording.parts[0].path.name}")
@@ -189,6 +234,9 @@ def _require_order(recording: Recording, number: int) -> None:
     for name, count in names.items():
         if count > 1:
             raise GearboxError(f"{part.path} holds {name} twice, or beside the start: one of them is wrong")
+    for earlier, later in pairwise(recording.told(number)):
+        if later.time_ns < earlier.time_ns:
+            raise GearboxError(f"{part.path} goes back in time with a message on {later.topic}")
 
 
 def _actions(recording: Recording, number: int) -> list[Action]:
@@ -218,19 +266,6 @@ def _load(recording: Recording, place: _Place) -> State:
     except (UnicodeDecodeError, UsageError) as error:
         raise GearboxError(str(error)) from error
     return State(saved.checkpoint, saved.parameters, saved.history)
-
-
-def _legs_from(legs: list[_Leg], recording: Recording, start: float | None) -> list[_Leg]:
-    if start is None:
-        return legs
-    interval = recording.sample_interval_ns / 1e9
-    before = [position for position, leg in enumerate(legs) if leg.first * interval <= start]
-    if not before or start > recording.end_sample * interval:
-        raise UsageError(
-            f"--from {start:g} s lies outside the recording: it holds {legs[0].first * interval:g} s to "
-            f"{recording.end_sample * interval:g} s"
-        )
-    return legs[before[-1] :]
 
 
 def _stretches(legs: Sequence[_Leg], most: int) -> list[list[_Leg]]:
@@ -295,7 +330,9 @@ def _arrive(engine: Engine, recording: Recording, leg: _Leg) -> _Tally:
         if difference is not None:
             return _Tally(states=1, difference=difference)
         if goal.part == part:
-            told = recording.history(part, opening, leg.first, leg.end)
+            # At the start of a part nothing precedes the state: all from its first message on follows.
+            begin = None if opening == _START else leg.first
+            told = recording.history(part, opening, begin, leg.end)
             what = f"the state at sample {leg.first}, or messages since then that no chunk makes: SHA-256"
             untold = Difference(engine.sample, what, stored.history, told) if told != stored.history else None
     return _Tally(states=len(leg.goals), untold=untold)

@@ -155,6 +155,7 @@ class Session:
         """Record from now on, beside earlier recordings."""
         self._drop_the_stopped()
         path = self.live.call(lambda: self.recordings.begin(beside=True))
+        self._cut_recording = False
         self._tell()
         return f"recording to {path}"
 

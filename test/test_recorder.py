@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -351,6 +352,31 @@ def test_a_recording_that_stopped_makes_way_for_another(session: Session, tmp_pa
         session.start_recording()
     assert session.end_recording().result() == f"recorded {tmp_path / 'bag_2'}"
     assert session.recorder_errors == [stopped.error]
+
+
+def test_a_recording_begun_after_a_fault_goes_on_through_the_reset(tmp_path: Path) -> None:
+    parameters = Parameters.from_flat(
+        {
+            "recording.path": str(tmp_path / "bag"),
+            "operation.control": "torque",
+            "operation.load_torque": 0.0,
+            "operation.speed_limit": 1640.0,
+            "pacing.real_time_factor": 0.0,
+        }
+    )
+    ended = threading.Event()
+    session = Session(Engine(parameters), Mailbox(parameters, 0), [], "/gearbox", lambda _: ended.set())
+    session.begin_recording(beside=False)
+    session.start()
+    assert ended.wait(60.0)
+    assert session.start_recording() == f"recording to {tmp_path / 'bag_2'}"
+    ended.clear()
+    assert session.reset() == "back at the start state"
+    assert ended.wait(60.0)
+    session.finish("over")
+    assert session.recorder_errors == []
+    for name in ("bag", "bag_2"):
+        assert replay.verify(recording.open(tmp_path / name)).difference is None
 
 
 def test_a_name_that_another_thread_takes_meanwhile_is_left_to_it(

@@ -31,11 +31,11 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Header, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
-from mcap.writer import MCAP0_MAGIC
+from mcap.writer import MCAP0_MAGIC, Writer
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 
-from gear_dynamics_ros import recording
+from gear_dynamics_ros import recording, replay
 from gear_dynamics_ros.cli.replay import main as replay_main
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
@@ -491,12 +491,15 @@ def test_the_report_tells_what_was_kept_and_lost(
 
 
 @pytest.mark.parametrize("size", [0, 5, 200])
-def test_a_last_part_without_its_start_is_empty_and_valid(
+def test_a_last_part_without_its_start_is_left_out(
     bag: Path, samples: np.ndarray[Any, Any], tmp_path: Path, size: int
 ) -> None:
     source = changed(bag, tmp_path / "source", 2, (bag / "bag_2.mcap").read_bytes()[:size])
+    with pytest.raises(GearboxError, match=r"lists bag_2\.mcap, which has lost its start"):
+        replay.verify(recording.open(source))
     report = recovered(source, tmp_path / "out")
-    assert (report.parts[2].messages, report.parts[2].ended) == (0, False)
+    assert dict(report.left_out) == {"bag_2.mcap": "broke off before its start"}
+    assert len(report.parts) == 2 and not report.whole
     assert check_files(tmp_path / "out") == check_topics(tmp_path / "out") == report.messages
     opened = recording.open(tmp_path / "out").waveform()
     assert opened.tobytes() == samples[: SPLITS[1] * ROWS].tobytes()
@@ -514,10 +517,28 @@ def test_a_file_cut_before_its_first_message(
         assert recording.open(tmp_path / "bag_0_recovered").parameters == PARAMETERS
 
 
+def test_a_recording_of_another_program_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "other.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2", library="another program")
+        writer.finish()
+    assert replay_main(["recover", str(path)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "no recording of this package: 'another program' wrote it" in line
+    assert [each.name for each in tmp_path.iterdir()] == ["other.mcap"]
+
+
 def test_a_file_that_is_no_mcap_is_left_out_or_refused(bag: Path, tmp_path: Path) -> None:
     source = changed(bag, tmp_path / "source", 2, bytes(5_000_000))
     report = recovered(source, tmp_path / "out")
-    assert (report.left_out, len(report.parts), report.whole) == (("bag_2.mcap",), 2, False)
+    assert (dict(report.left_out), len(report.parts), report.whole) == (
+        {"bag_2.mcap": "no MCAP file"},
+        2,
+        False,
+    )
     with pytest.raises(GearboxError, match=r"bag_2\.mcap' is no MCAP file"):
         recover(source / "bag_2.mcap", tmp_path / "no")
     assert not (tmp_path / "no").exists()

@@ -30,7 +30,7 @@ from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.recordings import RecorderSink
 from gear_dynamics_ros.run import Run
 from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN, PACE, Commands
-from gear_dynamics_ros.topics import FLOAT64, FLOAT_COMMANDS
+from gear_dynamics_ros.topics import FLOAT64, FLOAT_COMMANDS, TOPICS, resolve
 
 # What may be done between two chunks; "restore" takes up the state that "save" kept.
 DEEDS: tuple[Any, ...] = (
@@ -348,7 +348,11 @@ def test_the_digests_are_those_that_the_documentation_describes(bag: Path) -> No
                 for _, channel, message in reader.iter_messages(log_time_order=False)
                 if channel.topic not in NOT_TOLD
             ]
-        opening = numbered(attached["parameters.yaml"].data) + numbered(attached["start.json"].data)
+            (run,) = (record.metadata for record in reader.iter_metadata() if record.name != "rosbag2")
+        names = ("version", "kernel_hash", "epoch_ns", "node", "sample_interval_ns")
+        lines = [f"{name}={run[name]}\n" for name in (*names, "processor", "compiler", "libraries")]
+        opening = numbered("".join(lines).encode())
+        opening += numbered(attached["parameters.yaml"].data) + numbered(attached["start.json"].data)
         begin = int(json.loads(attached["start.json"].data)["sample"]) * 10_000
         later = [name for name in attached if name not in ("parameters.yaml", "start.json")]
         for name in later:
@@ -360,6 +364,83 @@ def test_the_digests_are_those_that_the_documentation_describes(bag: Path) -> No
             assert json.loads(attached[name].data)["history"] == expected
             opening, begin = numbered(attached[name].data), attached[name].log_time
         assert later[-1] == "end.json" and len(later) >= 2
+
+
+@pytest.mark.parametrize("name", ["version", "kernel_hash", "processor", "epoch_ns"])
+def test_an_altered_description_of_the_run_is_found(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    add = altering.Writer.add_metadata
+
+    def other(writer: Any, record: str, entries: dict[str, str]) -> None:
+        add(writer, record, entries | {name: "7"} if name in entries else entries)
+
+    monkeypatch.setattr(altering.Writer, "add_metadata", other)
+    assert is_refused(recording.open(alter(bag, tmp_path / "x")))
+
+
+@pytest.mark.parametrize("topic", ["event", "model_info", "dte", "waveform"])
+@pytest.mark.parametrize("where", ["before the start", "at the end", "long before the end"])
+def test_a_message_put_in_is_found(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, topic: str, where: str
+) -> None:
+    register, add, finish = (
+        getattr(altering.Writer, name) for name in ("register_channel", "add_message", "finish")
+    )
+    numbers: dict[str, int] = {}
+    begun: set[int] = set()
+
+    def noted(writer: Any, **channel: Any) -> int:
+        numbers[channel["topic"]] = number = register(writer, **channel)
+        return int(number)
+
+    def put_in(writer: Any, time_ns: int) -> None:
+        data = next(data for key, data in told if key == topic)
+        number = numbers[resolve(TOPICS[topic])]
+        add(writer, channel_id=number, log_time=time_ns, publish_time=time_ns, sequence=9, data=data)
+
+    def first(writer: Any, **message: Any) -> None:
+        if where == "before the start" and id(writer) not in begun:
+            begun.add(id(writer))
+            if message["log_time"] > 0:  # of the second part; before the first there is no time
+                put_in(writer, message["log_time"] - 100_000)
+        add(writer, **message)
+
+    def last(writer: Any) -> None:
+        if where != "before the start":
+            put_in(writer, 4_790_000 if where == "at the end" else 100_000)
+        finish(writer)
+
+    told: list[tuple[str, bytes]] = []
+    alter(bag, tmp_path / "read", message=lambda key, data: told.append((key, data)) or data)
+    told.append(("model_info", next(data for key, data in told if key == "event")))
+    for name, act in (("register_channel", noted), ("add_message", first), ("finish", last)):
+        monkeypatch.setattr(altering.Writer, name, act)
+    assert is_refused(recording.open(alter(bag, tmp_path / "x")))
+
+
+def test_a_zero_is_a_zero_with_either_sign(tmp_path: Path) -> None:
+    zeros = [Commands(30.0, load, 1700.0) for load in (0.0, -0.0, 0.0, -0.0)]
+    deeds = [deed for commands in zeros for deed in (commands, "step", "step")]
+    parameters = Parameters.from_flat({**SHORT, "operation.load_torque": -0.0, "operation.speed": 1700.0})
+    assert replay.verify(recording.open(perform(tmp_path / "bag", deeds, parameters))).difference is None
+
+
+def test_from_behind_a_lost_chunk_goes_on(bag: Path, tmp_path: Path) -> None:
+    """The first part lost its last messages: what the second one repeats can't be compared with them."""
+    seen: list[str] = []
+
+    def drop(topic: str, data: bytes) -> bytes | None:
+        seen.append(topic)
+        return data if len(seen) < 40 else None
+
+    copy = shutil.copytree(bag, tmp_path / "bag")
+    (tmp_path / "one").mkdir()
+    shutil.copy(bag / "bag_0.mcap", tmp_path / "one")
+    shutil.copy(alter(tmp_path / "one", tmp_path / "x", message=drop) / "bag_0.mcap", copy)
+    found = recording.open(copy)
+    assert is_refused(found)
+    assert replay.verify(found, 2e-3).difference is None
 
 
 def test_a_part_alone_verifies_to_its_end(tmp_path: Path) -> None:
@@ -562,4 +643,10 @@ def test_an_end_that_is_not_stored_is_told(
     assert "not concluded" not in capsys.readouterr().out
     cut = alter(bag, tmp_path / "x", attachment=lambda name, data: None if name == "end.json" else data)
     assert replay_main(["verify", str(cut)]) == 0
+    assert "the recording was not concluded" in capsys.readouterr().out
+    # As a crash right after a split leaves it.
+    broken = shutil.copytree(bag, tmp_path / "broken")
+    (broken / "metadata.yaml").unlink()
+    (broken / "bag_1.mcap").write_bytes(b"")
+    assert replay_main(["verify", str(broken)]) == 0
     assert "the recording was not concluded" in capsys.readouterr().out

@@ -33,8 +33,8 @@ def _lines(report: Report) -> Iterator[str]:
     for part in report.parts:
         yield f"  {part.name}  {part.size} bytes  {_state(part)}"
         yield f"    kept {_kept(part, report)}"
-    for name in report.left_out:
-        yield f"  {name}  no MCAP file: left out"
+    for name, reason in report.left_out.items():
+        yield f"  {name}  {reason}: left out"
     for gap in report.gaps:
         yield f"missing in between: {gap.end - gap.first} samples, {_times(gap, report)}"
     if not report.described:

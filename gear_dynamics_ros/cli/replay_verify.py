@@ -44,6 +44,6 @@ def verify_bag(arguments: argparse.Namespace) -> int:
         f"{result.simulated:.6g} s in {result.elapsed:.2f} s, "
         f"{result.simulated / result.elapsed:.2f} times real time"
     )
-    if not bag.parts[-1].end:
+    if not (bag.complete and bag.parts[-1].end):
         print("the recording was not concluded: whether it went on from its last sample can't be told")
     return 0

@@ -63,6 +63,10 @@ class RunMetadata(NamedTuple):
         """Values as the text that MCAP stores."""
         return {name: str(value) for name, value in self._asdict().items()}
 
+    def to_lines(self) -> bytes:
+        """The same as lines ``name=value``, in this order."""
+        return "".join(f"{name}={value}\n" for name, value in self.to_text().items()).encode()
+
     @classmethod
     def from_text(cls, values: Mapping[str, str]) -> RunMetadata:
         """Inverse of ``to_text``. Raises KeyError or ValueError on a missing or spoilt entry."""

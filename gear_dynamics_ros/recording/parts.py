@@ -10,12 +10,14 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from mcap.records import AttachmentIndex
+from mcap.writer import MCAP0_MAGIC
 
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.layout import RunMetadata
 from gear_dynamics_ros.recording.survey import (
     Survey,
+    first_bytes,
     read_attachment,
     read_chunk,
     read_metadata,
@@ -110,8 +112,8 @@ def open_parts(path: Path) -> tuple[PartFile, ...]:
     try:
         parts.append(_open_part(files[-1]))
     except GearboxError:
-        # A crash right after a split leaves a last file without even its start, and no message in it.
-        if not parts:
+        # A crash right after a split leaves a last file without even its start.
+        if not (parts and _unbegun(files[-1])):
             raise
     return tuple(parts)
 
@@ -155,6 +157,15 @@ def _open_part(path: Path) -> PartFile:
             raise GearboxError(
                 f"'{path}' is no recording of this package, or its start is lost: {error}"
             ) from error
+
+
+def _unbegun(path: Path) -> bool:
+    """Whether a file broke off before its first message."""
+    with reading(path) as stream:
+        begin = first_bytes(stream)
+        if begin != MCAP0_MAGIC:
+            return MCAP0_MAGIC.startswith(begin)
+        return not survey(stream).chunks
 
 
 def _index(found: Survey, name: str) -> AttachmentIndex:

@@ -346,8 +346,8 @@ class Recording:
         return [key for key, (name, _) in wanted.items() if name not in names]
 
     @property
-    def missing_files(self) -> list[str]:
-        """Names of the files that metadata.yaml lists, and that are no part of the recording."""
+    def lost_files(self) -> list[str]:
+        """Names of the files that metadata.yaml lists and that are no part: missing, or without a start."""
         path = self.path / layout.METADATA_FILE
         if not path.is_file():
             return []
@@ -365,20 +365,31 @@ class Recording:
             for stored in self.parts[number].messages(keys)
         ]
 
-    def history(self, number: int, opening: Sequence[str], first: int, end: int | None) -> str:
+    def told(self, number: int, first: int | None = None) -> Iterator[Stored]:
+        """What no chunk made of part ``number``, from sample ``first`` on, in the order of the file."""
+        from_ns = None if first is None else self._time_ns(first)
+        return self.parts[number].messages([self._names[key] for key in TOLD], from_ns)
+
+    def history(self, number: int, opening: Sequence[str], first: int | None, end: int | None) -> str:
         """Digest of what is told in part ``number`` between the samples ``first`` and ``end``.
 
         ``opening`` names the attachments from which that stretch begins. It must be that of the state at its
         end.
         """
         part = self.parts[number]
-        found = History(*(part.attachment(name) for name in opening))
+        contents = [part.attachment(name) for name in opening]
+        found = History(*([part.run.to_lines()] if layout.START_ATTACHMENT in opening else []), *contents)
         end_ns = math.inf if end is None else self._time_ns(end)
-        for message in part.messages([self._names[key] for key in TOLD], self._time_ns(first)):
+        for message in self.told(number, first):
             if message.time_ns >= end_ns:
                 break
             found.add(*message)
         return found.text()
+
+    def count(self, topics: Iterable[str]) -> int:
+        """Messages on topics (keys in TOPICS)."""
+        names = {self._names[key] for key in topics}
+        return sum(topic.messages for topic in self.topics if topic.name in names)
 
     def _time_ns(self, sample: int) -> int:
         return self.epoch_ns + sample * self.sample_interval_ns

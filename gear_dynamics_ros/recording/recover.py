@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
 
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Metadata, Schema
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
 from gear_dynamics_ros import __version__
@@ -73,7 +73,7 @@ class Report(NamedTuple):
     source: Path
     target: Path
     parts: tuple[PartReport, ...]
-    left_out: tuple[str, ...]  # files that are not MCAP
+    left_out: Mapping[str, str]  # why, by name of the file
     gaps: tuple[Span, ...]  # samples missing between those kept
     sample_interval_ns: int | None  # None where no file tells
     described: bool  # metadata.yaml was there, or was not due
@@ -118,23 +118,26 @@ def recover(source: Path, target: Path, progress: Callable[[float], None] = lamb
     ``progress`` is called with the share of the work that is done, 0 to 1. Holds one record in memory at a
     time. ``target`` appears when it is complete, or not at all.
 
-    Raises UsageError if there is no recording, or ``target`` exists, lies in it or can't be made;
-    GearboxError if no file is MCAP, a file holds topics that this package doesn't know, or reading or writing
-    fails.
+    Raises UsageError if there is no recording of this package, or ``target`` exists, lies in it or can't be
+    made; GearboxError if no file is MCAP, a file holds topics that this package doesn't know, or reading or
+    writing fails.
     """
     source, target = Path(os.path.abspath(source)), Path(os.path.abspath(target))
     files = part_files(source)
     _require_place(source, target)
     found: list[_Source] = []
-    left_out: list[str] = []
+    left_out: dict[str, str] = {}
     for number, file in enumerate(files):
         inspected = _inspect(file, _stage(progress, number, 2 * len(files)))
         if inspected is None:
-            left_out.append(file.name)
+            left_out[file.name] = "no MCAP file"
         else:
             found.append(inspected)
     if not found:
         raise GearboxError(f"'{files[0]}' is no MCAP file: its first bytes are not those of one")
+    _require_own(source, found)
+    found, unbegun = _begun(found)
+    left_out |= {part.path.name: "broke off before its start" for part in unbegun}
     track = _Track(next((part.run for part in found if part.run is not None), None))
     with _draft(target) as draft:
         rebuilt: list[_Rebuilt] = []
@@ -149,7 +152,7 @@ def recover(source: Path, target: Path, progress: Callable[[float], None] = lamb
         source,
         target,
         tuple(part.report for part in rebuilt),
-        tuple(left_out),
+        left_out,
         tuple(track.gaps),
         None if track.run is None else track.run.sample_interval_ns,
         source.is_file() or (source / layout.METADATA_FILE).is_file(),
@@ -166,18 +169,28 @@ class _Source:
     finished: bool
     ended: bool = False
     definitions: Definitions = field(default_factory=lambda: Definitions({}, {}))
+    library: str = ""  # that wrote it
     run: RunMetadata | None = None
     first_sample: int | None = None  # that its start tells
+    chunks: int = 0  # spoilt ones too
+
+    @property
+    def unbegun(self) -> bool:
+        """Whether it broke off before it told from which state it starts."""
+        return self.first_sample is None and not self.chunks and not self.ended
 
     def note(self, piece: Piece) -> None:
         """Take in the next record. Raises GearboxError on a topic that this package doesn't know."""
         content = piece.content
         self.ended = self.ended or piece.opcode == Opcode.DATA_END
+        self.chunks += piece.opcode == Opcode.CHUNK
         if not piece.fault:  # what is spoilt at the very end belongs to what broke off there
             self.end = piece.offset + piece.length
         if isinstance(content, Content):
             _require_known(self.path, content)
             _add(self.definitions, content.schemas, content.channels)
+        elif isinstance(content, Header):
+            self.library = content.library
         elif isinstance(content, Metadata) and content.name == layout.RUN_METADATA:
             self.run = _run(content.metadata)
         elif isinstance(content, Attachment) and content.name == layout.START_ATTACHMENT:
@@ -277,6 +290,23 @@ def _inspect(path: Path, progress: Callable[[float], None]) -> _Source | None:
         _add(source.definitions, schemas, channels)
     source.definitions = _usable(source.definitions)
     return source
+
+
+def _require_own(source: Path, found: Sequence[_Source]) -> None:
+    """Raise UsageError where nothing says that this package recorded any of the files."""
+    strange = [
+        part.library for part in found if part.library and not part.library.startswith(layout.RUN_METADATA)
+    ]
+    if len(strange) == len(found) and all(part.run is None for part in found):
+        raise UsageError(f"'{source}' is no recording of this package: {strange[0]!r:.80} wrote it")
+
+
+def _begun(found: Sequence[_Source]) -> tuple[list[_Source], list[_Source]]:
+    """The files without those that a crash right after a split leaves, and those; where others are there."""
+    unbegun = [part for part in found if part.unbegun]
+    if len(unbegun) == len(found):
+        return list(found), []
+    return [part for part in found if not part.unbegun], unbegun
 
 
 def _add(found: Definitions, schemas: Mapping[int, Schema], channels: Mapping[int, Channel]) -> None:

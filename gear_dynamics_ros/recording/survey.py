@@ -22,6 +22,7 @@ from mcap.records import (
     Chunk,
     ChunkIndex,
     DataEnd,
+    Header,
     Metadata,
     MetadataIndex,
     Schema,
@@ -109,7 +110,8 @@ class Piece(NamedTuple):
     offset: int
     length: int  # with its head
     opcode: int
-    content: Content | Attachment | Metadata | Schema | Channel | None  # None of a spoilt or another record
+    # None of a spoilt or another record
+    content: Content | Header | Attachment | Metadata | Schema | Channel | None
     fault: str  # what is spoilt in it; empty if nothing
 
 
@@ -437,6 +439,7 @@ def _parse(body: bytes | memoryview, read: Callable[[ReadDataStream], T]) -> T:
 
 # The checksum of an attachment is among what _exact compares; mcap itself leaves it unread.
 _DECODERS: Final[Mapping[int, Callable[[bytes], Any]]] = {
+    Opcode.HEADER: _exact(Header.read),
     Opcode.CHUNK: _unpack,
     Opcode.ATTACHMENT: _exact(Attachment.read),
     Opcode.METADATA: _exact(Metadata.read),

@@ -394,7 +394,7 @@ class _PartWriter:
         parameters, state = dump(start.parameters), json.dumps(start.checkpoint)
         self._attach(run.epoch_ns, layout.PARAMETERS_ATTACHMENT, "yaml", parameters)
         self._attach(run.epoch_ns, layout.START_ATTACHMENT, "json", state)
-        self._history = History(parameters.encode(), state.encode())
+        self._history = History(run.to_lines(), parameters.encode(), state.encode())
         self._mcap.add_definitions(*layout.definitions(self._topics.values()))
         self._mcap.sync()
 
