@@ -153,7 +153,7 @@ def _require_whole(recording: Recording) -> None:
         gone = not (recording.path / name).exists()
         what = "is missing: put it back" if gone else "has lost its start: replay recover keeps what is whole"
         raise GearboxError(f"{recording.path}: metadata.yaml lists {name}, which {what}")
-    if not any(part.found.chunks for part in recording.parts):
+    if not any(part.found.chunks or part.end for part in recording.parts):
         raise GearboxError(
             f"{recording.path} broke off before its first message: there is nothing to compare"
         )

@@ -443,6 +443,19 @@ def test_from_behind_a_lost_chunk_goes_on(bag: Path, tmp_path: Path) -> None:
     assert replay.verify(found, 2e-3).difference is None
 
 
+def test_a_recording_without_a_message_verifies_unless_it_broke_off(tmp_path: Path) -> None:
+    parameters = Parameters.from_flat(SHORT)
+    engine = Engine(parameters)
+    RecorderSink(Recorder(tmp_path / "bag", parameters, engine.checkpoint(), 0), engine).close()
+    result = replay.verify(recording.open(tmp_path / "bag"))
+    assert (result.difference, result.samples, result.states) == (None, 0, 1)
+    content = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
+    for size in (10_000, 14_000):  # within the channels
+        (tmp_path / "cut.mcap").write_bytes(content[:size])
+        with pytest.raises(GearboxError, match="broke off before its first message"):
+            replay.verify(recording.open(tmp_path / "cut.mcap"))
+
+
 def test_a_part_alone_verifies_to_its_end(tmp_path: Path) -> None:
     bag = overtaken(tmp_path)
     for path in bag.glob("*.mcap"):
