@@ -143,6 +143,17 @@ def test_entry_points_are_the_executables() -> None:
     assert all(callable(script.load()) for script in scripts)
 
 
+@pytest.mark.parametrize("name", EXECUTABLES)
+def test_ctrl_c_while_a_command_is_loaded_is_told_in_a_line(tmp_path: Path, name: str) -> None:
+    slow = "import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(60.0)\n"
+    (tmp_path / "numpy.py").write_text(slow)  # every command loads it
+    script = Path(sys.executable).with_name(name)
+    done = subprocess.run(
+        [script, "--help"], capture_output=True, text=True, timeout=120, env={"PYTHONPATH": str(tmp_path)}
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", f"{name}: interrupted\n")
+
+
 def test_engine_analysis_and_recording_need_neither_ros_nor_viewer() -> None:
     modules = ", ".join(f"{PACKAGE}.{name}" for name in ("engine", "analysis", "recording", "cli.simulate"))
     code = f"import sys; sys.modules.update(rclpy=None, rerun=None); import {modules}"
