@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import os
 import time
+from bisect import bisect_left
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from threading import Event as Flag
 from threading import Lock
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple, TypeAlias, TypeVar
 
 from gear_dynamics_ros import checkpoints, origin
 from gear_dynamics_ros.commands import RELEASED, changes_meant
@@ -25,10 +26,12 @@ from gear_dynamics_ros.messages import Encoder
 from gear_dynamics_ros.origin import Origin
 from gear_dynamics_ros.parameters import parse, updated
 from gear_dynamics_ros.recording import layout
+from gear_dynamics_ros.recording.parts import Stored
 from gear_dynamics_ros.recording.reader import Event, RecordedChunk, Recording
 from gear_dynamics_ros.signals import CHANGE, RESET, RESTORE, Commands
 from gear_dynamics_ros.topics import OF_A_CHUNK
 
+T = TypeVar("T")
 # Stretches for each processor: when one is done early, there is another.
 SHARES: Final = 4
 _START: Final = (layout.PARAMETERS_ATTACHMENT, layout.START_ATTACHMENT)
@@ -70,6 +73,7 @@ class _Leg(NamedTuple):
     first: int  # sample
     start: _Place
     actions: Sequence[Action]
+    told: Sequence[Stored]  # what no chunk made
     end: int | None  # sample before which the next leg begins in the same part
     goals: tuple[_Place, ...]  # none where the recording broke off
 
@@ -211,20 +215,30 @@ def _last_before(recording: Recording, start: float) -> tuple[int, int]:
 def _legs_of(recording: Recording, number: int) -> Iterator[_Leg]:
     """One part, leg by leg."""
     part = recording.parts[number]
-    _require_order(recording, number)
-    actions = _actions(recording, number)
+    told = recording.told(number)
+    _require_order(recording, number, told)
+    actions = _actions(recording, number, told)
     states = {part.first_sample: _Place(number, _START)}
     for sample, name in part.checkpoints.items():
         states[sample] = _Place(number, (name,))
-    for first, end in pairwise(states):
-        within = [action for action in actions if first <= action[0] < end]
-        yield _Leg(first, states[first], within, end, (states[end],))
-    last = max(states)
-    behind = [action for action in actions if action[0] >= last]
-    yield _Leg(last, states[last], behind, None, _goals(recording, number))
+    for first, end in zip(states, [*list(states)[1:], None], strict=True):
+        goals = _goals(recording, number) if end is None else (states[end],)
+        acted = _cut(actions, first, end, key=lambda action: action[0])
+        # At the start of a part nothing precedes the state: all from its first message on follows.
+        from_ns = None if states[first].names == _START else recording.time_ns(first)
+        end_ns = None if end is None else recording.time_ns(end)
+        on_the_way = _cut(told, from_ns, end_ns, key=lambda message: message.time_ns)
+        yield _Leg(first, states[first], acted, on_the_way, end, goals)
 
 
-def _require_order(recording: Recording, number: int) -> None:
+def _cut(found: list[T], first: int | None, end: int | None, key: Callable[[T], int]) -> list[T]:
+    """Of what is in order by ``key``, that in [first, end)."""
+    low = 0 if first is None else bisect_left(found, first, key=key)
+    high = len(found) if end is None else bisect_left(found, end, key=key)
+    return found[low:high]
+
+
+def _require_order(recording: Recording, number: int, told: Sequence[Stored]) -> None:
     """Raise GearboxError where a part is of another run, tells a state twice or goes back in time."""
     part = recording.parts[number]
     if part.run != recording.run:
@@ -234,19 +248,19 @@ def _require_order(recording: Recording, number: int) -> None:
     for name, count in names.items():
         if count > 1:
             raise GearboxError(f"{part.path} holds {name} twice, or beside the start: one of them is wrong")
-    for earlier, later in pairwise(recording.told(number)):
+    for earlier, later in pairwise(told):
         if later.time_ns < earlier.time_ns:
             raise GearboxError(f"{part.path} goes back in time with a message on {later.topic}")
 
 
-def _actions(recording: Recording, number: int) -> list[Action]:
+def _actions(recording: Recording, number: int, told: Sequence[Stored]) -> list[Action]:
     """What acted in a part and, behind it, what was asked for at the same sample."""
     prefix = recording.parameters.joint_prefix
     asked = [
         (sample, Asked(topic, changes_meant(topic, message, prefix)[0]))
-        for sample, topic, message in recording.received(number)
+        for sample, topic, message in recording.received(told)
     ]
-    return sorted([*recording.actions(number), *asked], key=lambda action: action[0])
+    return sorted([*recording.actions(number, told), *asked], key=lambda action: action[0])
 
 
 def _goals(recording: Recording, number: int) -> tuple[_Place, ...]:
@@ -330,9 +344,7 @@ def _arrive(engine: Engine, recording: Recording, leg: _Leg) -> _Tally:
         if difference is not None:
             return _Tally(states=1, difference=difference)
         if goal.part == part:
-            # At the start of a part nothing precedes the state: all from its first message on follows.
-            begin = None if opening == _START else leg.first
-            told = recording.history(part, opening, begin, leg.end)
+            told = recording.history(part, opening, leg.told)
             what = f"the state at sample {leg.first}, or messages since then that no chunk makes: SHA-256"
             untold = Difference(engine.sample, what, stored.history, told) if told != stored.history else None
     return _Tally(states=len(leg.goals), untold=untold)

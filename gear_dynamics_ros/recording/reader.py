@@ -230,7 +230,7 @@ class Recording:
         Raises GearboxError where samples are missing or doubled.
         """
         expected: int | None = None
-        from_ns = None if first is None else self._time_ns(first)
+        from_ns = None if first is None else self.time_ns(first)
         for time_ns, samples in self._waveform(from_ns):
             begin = self.sample(time_ns) - len(samples) + 1
             if expected is not None and begin != expected:
@@ -251,7 +251,7 @@ class Recording:
         keys = {self._names[key]: key for key in OF_A_CHUNK}
         read = RowReader()
         gathered: dict[str, Stored] = {}
-        from_ns = self._time_ns(first)
+        from_ns = self.time_ns(first)
         for message in self.parts[number].messages(keys, from_ns):
             if keys[message.topic] in gathered:
                 raise GearboxError(f"{self.path}: two messages of one chunk stand on {message.topic}")
@@ -315,10 +315,10 @@ class Recording:
                 raise UsageError(f"there is no channel '{name}' in {self.path}: it has {', '.join(known)}")
         return tuple(channels), [known.index(name) for name in channels]
 
-    def actions(self, number: int) -> list[tuple[int, Event | Commands]]:
-        """What acted on the model in part ``number``, by sample and in order; not what it only repeats."""
-        events = (_event(data) for data in self._latched_in(number, "event"))
-        commands = (self._command(data) for data in self._latched_in(number, "applied_command"))
+    def actions(self, number: int, told: Sequence[Stored]) -> list[tuple[int, Event | Commands]]:
+        """What acted on the model in part ``number``, of which all is ``told``, by sample and in order."""
+        events = (_event(data) for data in self._unlike_before(number, "event", told))
+        commands = (self._command(data) for data in self._unlike_before(number, "applied_command", told))
         # Commands act with the first sample of a chunk, after what happened before it.
         actions: list[tuple[int, Event | Commands]] = [
             *self._within(number, ((event.sample, event) for event in events)),
@@ -357,32 +357,30 @@ class Recording:
         except (KeyError, OSError, TypeError, ValueError, yaml.YAMLError) as error:
             raise GearboxError(f"{path} is spoilt: {' '.join(repr(error).split()):.200}") from error
 
-    def received(self, number: int) -> list[tuple[int, str, Any]]:
-        """Commands as they came in part ``number``: sample from which they acted, key in TOPICS, message."""
+    def told(self, number: int) -> list[Stored]:
+        """What no chunk made of part ``number``, in the order of the file, in memory."""
+        found = self.parts[number].messages([self._names[key] for key in TOLD])
+        # Of their own, or each would keep the whole chunk that it stands in.
+        return [message._replace(data=memoryview(bytes(message.data))) for message in found]
+
+    def received(self, told: Iterable[Stored]) -> list[tuple[int, str, Any]]:
+        """Commands as they came, among ``told``: sample from which they acted, key in TOPICS, message."""
         keys = {self._names[key]: key for key in COMMAND_TOPICS}
         return [
             (self.sample(stored.time_ns), keys[stored.topic], _decoded(keys[stored.topic], stored.data))
-            for stored in self.parts[number].messages(keys)
+            for stored in told
+            if stored.topic in keys
         ]
 
-    def told(self, number: int, first: int | None = None) -> Iterator[Stored]:
-        """What no chunk made of part ``number``, from sample ``first`` on, in the order of the file."""
-        from_ns = None if first is None else self._time_ns(first)
-        return self.parts[number].messages([self._names[key] for key in TOLD], from_ns)
+    def history(self, number: int, opening: Sequence[str], told: Iterable[Stored]) -> str:
+        """Digest of ``told``, a stretch of part ``number``, which the state at its end must carry.
 
-    def history(self, number: int, opening: Sequence[str], first: int | None, end: int | None) -> str:
-        """Digest of what is told in part ``number`` between the samples ``first`` and ``end``.
-
-        ``opening`` names the attachments from which that stretch begins. It must be that of the state at its
-        end.
+        ``opening`` names the attachments from which that stretch begins.
         """
         part = self.parts[number]
         contents = [part.attachment(name) for name in opening]
         found = History(*([part.run.to_lines()] if layout.START_ATTACHMENT in opening else []), *contents)
-        end_ns = math.inf if end is None else self._time_ns(end)
-        for message in self.told(number, first):
-            if message.time_ns >= end_ns:
-                break
+        for message in told:
             found.add(*message)
         return found.text()
 
@@ -391,7 +389,8 @@ class Recording:
         names = {self._names[key] for key in topics}
         return sum(topic.messages for topic in self.topics if topic.name in names)
 
-    def _time_ns(self, sample: int) -> int:
+    def time_ns(self, sample: int) -> int:
+        """Stamp of a sample."""
         return self.epoch_ns + sample * self.sample_interval_ns
 
     def _within(self, number: int, found: Iterable[tuple[int, T]]) -> Iterator[tuple[int, T]]:
@@ -427,14 +426,15 @@ class Recording:
             yield from part.messages([self._names[topic]], from_ns)
 
     def _latched(self, topic: str) -> Iterator[bytes]:
-        for number in range(len(self.parts)):
-            yield from self._latched_in(number, topic)
+        for number, part in enumerate(self.parts):
+            yield from self._unlike_before(number, topic, part.messages([self._names[topic]]))
 
-    def _latched_in(self, number: int, topic: str) -> Iterator[bytes]:
-        """Messages of a latched topic in a part, without the last of the part before, which it repeats."""
+    def _unlike_before(self, number: int, topic: str, messages: Iterable[Stored]) -> Iterator[bytes]:
+        """Those of a latched topic in a part, without the last of the part before, which it repeats."""
         name = self._names[topic]
         before = self.parts[number - 1].last_message(name) if number else None
-        for position, message in enumerate(self.parts[number].messages([name])):
+        own = (message for message in messages if message.topic == name)
+        for position, message in enumerate(own):
             if position or before is None or message.data != before.data:
                 yield bytes(message.data)
 
