@@ -329,8 +329,6 @@ class Recording:
     def unrepeated(self, number: int) -> str:
         """Key in TOPICS of what part ``number`` should repeat at its start, and does not; empty if none."""
         part, before = self.parts[number], self.parts[number - 1]
-        if not part.found.chunks:  # it broke off before its first message
-            return ""
         for key, topic in TOPICS.items():
             last = before.last_message(self._names[key]) if topic.latched else None
             first = next(part.messages([self._names[key]]), None) if last is not None else None
