@@ -1,6 +1,6 @@
-"""The contract between the engine and everything that consumes it: channels, commands, chunks.
+"""What an engine takes and makes: commands, chunks of samples, and samples with names to their columns.
 
-SI units throughout; forces are those on the gear; simulated time is an integer of nanoseconds.
+SI units throughout; simulated time is an integer of nanoseconds.
 """
 
 from __future__ import annotations
@@ -12,91 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-
-class Channel(NamedTuple):
-    """One column of the waveform."""
-
-    name: str
-    unit: str
-    meaning: str
-
-
-CHANNELS: tuple[Channel, ...] = (
-    Channel("time", "s", "simulated time"),
-    Channel("dte", "m", "dynamic transmission error q, static error subtracted"),
-    Channel("dte_rate", "m/s", "full derivative of q"),
-    Channel("mesh_force", "N", "F_p along the line of action, negative on the back flank"),
-    Channel("pressure_angle", "rad", "working pressure angle alpha"),
-    Channel("position_angle", "rad", "angle beta of the line of centres"),
-    Channel("half_backlash", "m", "b_1: half the backlash left by centre shift and surfaces"),
-    Channel("meshing_state", "", "1 drive flank, 0 apart, -1 back flank"),
-    Channel("driving_x", "m", "displacement of the driving gear's centre along x"),
-    Channel("driving_y", "m", "displacement of the driving gear's centre along y"),
-    Channel("driven_x", "m", "displacement of the driven gear's centre along x"),
-    Channel("driven_y", "m", "displacement of the driven gear's centre along y"),
-    Channel("driving_contact_force_x", "N", "bearing contact force on the driving gear"),
-    Channel("driving_contact_force_y", "N", "bearing contact force on the driving gear"),
-    Channel("driven_contact_force_x", "N", "bearing contact force on the driven gear"),
-    Channel("driven_contact_force_y", "N", "bearing contact force on the driven gear"),
-    Channel("driving_film_force_x", "N", "oil film force on the driving gear"),
-    Channel("driving_film_force_y", "N", "oil film force on the driving gear"),
-    Channel("driven_film_force_x", "N", "oil film force on the driven gear"),
-    Channel("driven_film_force_y", "N", "oil film force on the driven gear"),
-    Channel("driving_penetration", "m", "bearing penetration, negative = gap left"),
-    Channel("driven_penetration", "m", "bearing penetration, negative = gap left"),
-    Channel("driving_speed", "rad/s", "omega_1, positive in normal running"),
-    Channel("driven_speed", "rad/s", "omega_2, positive in normal running"),
-    Channel("drive_torque", "N m", "torque T_M applied to the driving shaft"),
-    Channel("load_torque", "N m", "torque T_L applied to the driven shaft, positive resists"),
-    Channel("driving_angle", "rad", "theta_1 within one revolution, 0 to 2 pi"),
-    Channel("mesh_phase", "rad", "mesh phase phi within one tooth, 0 to 2 pi"),
-)
-# On request, after the others: works and losses since the start or the last reset, and what is stored now.
-ENERGIES: tuple[Channel, ...] = (
-    Channel("shaft_work", "J", "work of the drive torque less that of the load torque"),
-    Channel(
-        "excitation_work",
-        "J",
-        "work of stiffness, static error and surfaces moving with the phase, or changed by a parameter",
-    ),
-    Channel("mesh_loss", "J", "dissipated by the teeth's damping"),
-    Channel("driving_contact_loss", "J", "dissipated by the bearing contact"),
-    Channel("driven_contact_loss", "J", "dissipated by the bearing contact"),
-    Channel("driving_film_work", "J", "put into the shaft by the oil film, negative where it damps"),
-    Channel("driven_film_work", "J", "put into the shaft by the oil film, negative where it damps"),
-    Channel("kinetic_energy", "J", "of both gears, their rotation included"),
-    Channel("elastic_energy", "J", "in teeth and bearing contacts"),
-)
-# One row a bearing contact that ended.
-IMPACTS: tuple[Channel, ...] = (
-    Channel("begin", "s", "simulated time at which the gap closed"),
-    Channel("end", "s", "simulated time at which it opened again"),
-    Channel("bearing", "", "0 driving, 1 driven"),
-    Channel("impact_speed", "m/s", "closing speed when it closed"),
-    Channel("rebound_speed", "m/s", "opening speed when it opened"),
-    Channel("peak_force", "N", "greatest contact force between"),
-)
-# One row a report of the pacing.
-PACE: tuple[Channel, ...] = (
-    Channel("time", "s", "simulated time"),
-    Channel("real_time_factor", "", "reached since the last report"),
-    Channel("real_time_factor_wanted", "", "pacing.real_time_factor; 0 is as fast as possible"),
-    Channel("overruns", "", "chunks that were not done when the next was due, of all time"),
-    Channel("worst_lateness", "s", "latest begin of a chunk after it was due, since the last report"),
-    Channel("slipped", "s", "wall time by which deadlines were put off, of all time"),
-)
-# Kinds of events.
-START = "start"
-RESET = "reset"
-PAUSE = "pause"
-RESUME = "resume"
-CHANGE = "parameters"
-RESTORE = "restore"
-END = "end"
-# All kinds of events.
-EVENTS = frozenset({START, RESET, PAUSE, RESUME, CHANGE, RESTORE, END})
-CHANNEL_NAMES: tuple[str, ...] = tuple(channel.name for channel in CHANNELS)
-COLUMN: dict[str, int] = {channel.name: i for i, channel in enumerate((*CHANNELS, *ENERGIES))}
+from gear_dynamics_ros.channels import COLUMN, contact_channels, film_channels
 
 
 class Status(IntEnum):
@@ -165,3 +81,53 @@ class Chunk:
     def last_ns(self) -> int:
         """Simulated time of the last sample."""
         return (self.first_sample + len(self) - 1) * self.interval_ns
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Consecutive samples: ``values`` has shape (n, channels), SI units, one column a name."""
+
+    first: int
+    interval: float
+    names: tuple[str, ...]
+    values: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        """Column of one channel, shape (n,)."""
+        return self.values[:, self.names.index(name)]
+
+    def has(self, *names: str) -> bool:
+        """Whether all of these channels are there."""
+        return all(name in self.names for name in names)
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """Simulated time in s, shape (n,)."""
+        return np.asarray((self.first + np.arange(len(self))) * self.interval, dtype=np.float64)
+
+    def last(self, count: int) -> Samples:
+        """The last ``count`` samples, or all if there are fewer."""
+        skipped = max(0, len(self) - count)
+        return Samples(self.first + skipped, self.interval, self.names, self.values[skipped:])
+
+    def contact_force(self, gear: str) -> NDArray[np.float64]:
+        """Magnitude of the bearing contact force in N, shape (n,)."""
+        x, y = contact_channels(gear)
+        return np.hypot(self[x], self[y])
+
+    def film_force(self, gear: str) -> NDArray[np.float64]:
+        """Magnitude of the oil film force in N, shape (n,)."""
+        x, y = film_channels(gear)
+        return np.hypot(self[x], self[y])
+
+    def bearing_force(self, gear: str) -> NDArray[np.float64]:
+        """Magnitude of contact and film force together in N, shape (n,)."""
+        (contact_x, contact_y), (film_x, film_y) = contact_channels(gear), film_channels(gear)
+        return np.hypot(self[contact_x] + self[film_x], self[contact_y] + self[film_y])
+
+    def has_bearing_force(self, gear: str) -> bool:
+        """Whether contact and film force of ``gear`` are there."""
+        return self.has(*contact_channels(gear), *film_channels(gear))

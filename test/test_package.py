@@ -16,8 +16,8 @@ from catkin_pkg.package import parse_package
 from conftest import executable
 
 import gear_dynamics_ros
-from gear_dynamics_ros import resources
 from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.system import share
 
 SOURCE = Path(__file__).resolve().parent.parent
 PACKAGE = "gear_dynamics_ros"
@@ -118,12 +118,12 @@ def test_shared_files_are_found(installed: Installation) -> None:
 
 
 def test_shared_file_of_a_checkout() -> None:
-    assert resources.share_file("config/gearbox.yaml") == SOURCE / "config/gearbox.yaml"
+    assert share.share_file("config/gearbox.yaml") == SOURCE / "config/gearbox.yaml"
 
 
 def test_missing_shared_file_is_named() -> None:
     with pytest.raises(GearboxError, match=r"config/none\.yaml: not found"):
-        resources.share_file("config/none.yaml")
+        share.share_file("config/none.yaml")
 
 
 def test_manifest_agrees_with_the_package() -> None:

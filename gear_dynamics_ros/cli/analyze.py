@@ -14,11 +14,12 @@ from gear_dynamics_ros.analysis import ledger, summary
 from gear_dynamics_ros.analysis.spectra import SHORTEST
 from gear_dynamics_ros.analysis.statistics import Envelope, Statistics, quantities
 from gear_dynamics_ros.analysis.summary import Span
+from gear_dynamics_ros.channels import GEARS, contact_channels
+from gear_dynamics_ros.chunk import Samples
 from gear_dynamics_ros.cli.common import Progress, guarded
 from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.events import RESET, RESTORE
 from gear_dynamics_ros.recording import Event, Recording
-from gear_dynamics_ros.samples import GEARS, Samples, contact_channels
-from gear_dynamics_ros.signals import RESET, RESTORE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,7 +11,7 @@ from gear_dynamics_ros import recording
 from gear_dynamics_ros.analysis.comparison import ANGLES
 from gear_dynamics_ros.cli.common import FAILURE, Progress
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.recording.pairing import BY_START, BY_TIME, pair
+from gear_dynamics_ros.replay.pairing import BY_START, BY_TIME, pair
 
 
 def add_diff(verbs: Any) -> None:
@@ -45,7 +45,7 @@ def add_diff(verbs: Any) -> None:
 
 def diff(arguments: argparse.Namespace) -> int:
     """Compare, print, draw; exit code 1 on a difference."""
-    from gear_dynamics_ros import divergence  # loads the model, which other verbs need not wait for
+    from gear_dynamics_ros.replay import diff  # loads the model, which other verbs need not wait for
 
     output = arguments.output
     if output is not None and output.exists() and not output.is_dir():
@@ -53,14 +53,14 @@ def diff(arguments: argparse.Namespace) -> int:
     both = recording.open(arguments.a), recording.open(arguments.b)
     chosen = pair(*both, arguments.align, arguments.start, arguments.end)
     with Progress("compared", chosen.beyond - chosen.first) as progress:
-        compared = divergence.compare(chosen, progress)
+        compared = diff.compare(chosen, progress)
     for name, bag in zip("AB", both, strict=True):
         if not bag.complete:
             print(f"replay: warning: {name} is broken off: {bag.path}", file=sys.stderr)
-    for line in divergence.report(compared):
+    for line in diff.report(compared):
         print(line)
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
-        for path in divergence.write(compared, output, arguments.align):
+        for path in diff.write(compared, output, arguments.align):
             print(path)
     return 0 if compared.same else FAILURE

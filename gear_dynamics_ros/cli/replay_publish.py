@@ -73,7 +73,7 @@ def publish_bag(arguments: argparse.Namespace) -> int:
 
 def _follow(bag: recording.Recording, arguments: argparse.Namespace) -> int:
     with needing_ros():
-        from gear_dynamics_ros.harness_client import play
+        from gear_dynamics_ros.ros.profile_client import play
     node = full_name(arguments.node)
     profile = replace(recorded.profile(bag), reset=arguments.reset)
     _tell_left_out(recorded.left_out_of_profile(bag), "; with --lockstep resets and changes are")
@@ -99,7 +99,7 @@ def _follow(bag: recording.Recording, arguments: argparse.Namespace) -> int:
 
 def _step(bag: recording.Recording, arguments: argparse.Namespace) -> int:
     with needing_ros():
-        from gear_dynamics_ros.lockstep_client import play
+        from gear_dynamics_ros.ros.lockstep_client import play
     node = full_name(arguments.node)
     script = recorded.script(bag)
     if arguments.reset:

@@ -10,20 +10,20 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from gear_dynamics_ros import checkpoints
+from gear_dynamics_ros.chunk import Chunk
 from gear_dynamics_ros.cli.common import SIGNALLED, Progress, add_settings, guarded
-from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.live import warm_up
-from gear_dynamics_ros.messages import Encoder, Record
+from gear_dynamics_ros.messages.encoder import Encoder, Record
 from gear_dynamics_ros.parameters import Parameters, load, read_settings, updated
 from gear_dynamics_ros.physics import step_check
-from gear_dynamics_ros.process import noted_signals
-from gear_dynamics_ros.recording.writer import Recorder
-from gear_dynamics_ros.recordings import RecorderSink
-from gear_dynamics_ros.resources import share_file
-from gear_dynamics_ros.run import Run
-from gear_dynamics_ros.signals import Chunk
+from gear_dynamics_ros.realtime.engine_thread import warm_up
+from gear_dynamics_ros.recording.recorder import Recorder
+from gear_dynamics_ros.recording.sink import RecorderSink
+from gear_dynamics_ros.simulation import checkpoints
+from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.run import Run
+from gear_dynamics_ros.system.processes import noted_signals
+from gear_dynamics_ros.system.share import share_file
 
 EPOCH_NS = 0  # simulated time is all the time there is
 

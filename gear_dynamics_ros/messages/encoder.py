@@ -6,18 +6,22 @@ import json
 import math
 import struct
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.typesys import Stores, get_typestore
 
-from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.channels import (
+    CHANNELS,
+    COLUMN,
+    ENERGIES,
+    IMPACTS,
+    PACE,
+)
+from gear_dynamics_ros.chunk import Chunk, Commands, Counters
+from gear_dynamics_ros.messages.cdr import message_class, serialize, stamp
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.signals import CHANNELS, COLUMN, ENERGIES, IMPACTS, PACE, Chunk, Commands, Counters
 from gear_dynamics_ros.topics import ARRAY, CLOCK, JOINT_STATE, STRING, WRENCH
-
-TYPESTORE: Final = get_typestore(Stores.ROS2_JAZZY)
 
 
 class Record(NamedTuple):
@@ -31,32 +35,6 @@ class Record(NamedTuple):
 def bearing_frame(prefix: str, gear: str) -> str:
     """Frame of the bearing of ``gear``, driving or driven; ``prefix`` is joint_prefix."""
     return f"{prefix}{gear}_bearing"
-
-
-def serialize(type_name: str, message: Any) -> bytes:
-    """CDR (little endian, with its header) of a rosbags message."""
-    return bytes(TYPESTORE.serialize_cdr(message, type_name))
-
-
-def deserialize(type_name: str, data: bytes | memoryview) -> Any:
-    """Message of the type ``type_name`` from CDR."""
-    return TYPESTORE.deserialize_cdr(data, type_name)
-
-
-def message_class(type_name: str) -> Any:
-    """Class whose instances ``serialize`` takes; fields as in the ROS message, arrays as NumPy's."""
-    return TYPESTORE.types[type_name]
-
-
-def stamp(time_ns: int) -> Any:
-    """builtin_interfaces/Time of an integer of nanoseconds."""
-    seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
-    return message_class("builtin_interfaces/msg/Time")(sec=seconds, nanosec=nanoseconds)
-
-
-def stamp_ns(time: Any) -> int:
-    """Integer of nanoseconds of a builtin_interfaces/Time."""
-    return int(time.sec) * 1_000_000_000 + int(time.nanosec)
 
 
 def waveform_message(names: Sequence[str], samples: NDArray[np.float64], row: str = "sample") -> Any:
@@ -73,42 +51,6 @@ def waveform_message(names: Sequence[str], samples: NDArray[np.float64], row: st
     return message_class(ARRAY)(layout=layout, data=samples.reshape(-1))
 
 
-def waveform_samples(message: Any) -> tuple[tuple[str, ...], NDArray[np.float64]]:
-    """Names of the columns and rows (n, columns) of a message laid out like the waveform."""
-    names = tuple(message.layout.dim[1].label.split(","))
-    return names, np.asarray(message.data, dtype=np.float64).reshape(-1, len(names))
-
-
-class RowReader:
-    """Reads CDR laid out like the waveform.
-
-    The messages of a recording differ in their numbers, and seldom in what precedes them, understood once.
-    """
-
-    def __init__(self) -> None:
-        self._prefix = b""
-        self._size = -1  # bytes of the message that had it
-        self._names: tuple[str, ...] = ()
-
-    def read(self, data: bytes | memoryview) -> tuple[tuple[str, ...], NDArray[np.float64]]:
-        """Names of the columns and rows (n, columns), which may lie in ``data``.
-
-        Raises GearboxError if it is no such message.
-        """
-        if len(data) != self._size or data[: len(self._prefix)] != self._prefix:
-            self._understand(data)
-        rows = np.frombuffer(data, dtype="<f8", offset=len(self._prefix))
-        return self._names, rows.reshape(-1, len(self._names))
-
-    def _understand(self, data: bytes | memoryview) -> None:
-        try:
-            self._names, rows = waveform_samples(deserialize(ARRAY, data))
-        except Exception as error:  # rosbags has no common class for what it finds wrong with bytes
-            raise GearboxError(f"what should hold rows of numbers does not: {error}") from error
-        self._size = len(data)
-        self._prefix = bytes(data[: len(data) - rows.nbytes])
-
-
 def joint_state(
     time_ns: int,
     names: Iterable[str],
@@ -123,15 +65,6 @@ def joint_state(
         position=np.array(position, dtype=np.float64),
         velocity=np.array(velocity, dtype=np.float64),
         effort=np.array(effort, dtype=np.float64),
-    )
-
-
-def applied_commands(message: Any) -> Commands:
-    """Commands in force that an ``applied_command`` message tells."""
-    return Commands(
-        drive_torque=float(message.effort[0]),
-        load_torque=float(message.effort[1]),
-        speed=float(message.velocity[0]),
     )
 
 

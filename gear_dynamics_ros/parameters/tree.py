@@ -10,7 +10,6 @@ import difflib
 import math
 import operator
 import re
-import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from fractions import Fraction
@@ -19,10 +18,16 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
+from gear_dynamics_ros.channels import CHANNEL_NAMES, COLUMN
 from gear_dynamics_ros.errors import UsageError
+from gear_dynamics_ros.parameters.rcl_yaml import (
+    SMALLEST_NORMAL,
+    Tree,
+    parse_yaml,
+    resolve,
+    scalar_text,
+)
 from gear_dynamics_ros.physics.surface import LARGEST_ORDER
-from gear_dynamics_ros.ros_yaml import SMALLEST_NORMAL, Tree, parse_yaml, resolve, scalar_text
-from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN
 from gear_dynamics_ros.topics import TOPICS
 
 Value: TypeAlias = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
@@ -989,7 +994,3 @@ def _text(value: Value) -> str:
     if isinstance(value, tuple):
         return "[" + ", ".join(scalar_text(entry) for entry in value) + "]"
     return scalar_text(value)
-
-
-if __name__ == "__main__":
-    sys.stdout.write(reference())

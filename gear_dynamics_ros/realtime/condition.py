@@ -11,8 +11,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gear_dynamics_ros.messages import Record
-from gear_dynamics_ros.signals import COLUMN, ENERGIES, Chunk
+from gear_dynamics_ros.channels import COLUMN, ENERGIES
+from gear_dynamics_ros.chunk import Chunk
+from gear_dynamics_ros.messages.encoder import Record
 
 STRETCHES: Final = 50
 STRETCH_NS: Final = 20_000_000

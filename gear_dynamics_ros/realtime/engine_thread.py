@@ -11,15 +11,16 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-from gear_dynamics_ros.commands import RELEASED, Mailbox
-from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.chunk import Chunk, Counters
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.messages import Encoder, Record
-from gear_dynamics_ros.pacing import Pace, Pacer
+from gear_dynamics_ros.events import PAUSE, RESUME
+from gear_dynamics_ros.messages.encoder import Encoder, Record
 from gear_dynamics_ros.parameters import Operation, Parameters, updated
-from gear_dynamics_ros.run import Run
-from gear_dynamics_ros.signals import PAUSE, RESUME, Chunk, Counters
-from gear_dynamics_ros.threads import name_thread
+from gear_dynamics_ros.realtime.mailbox import RELEASED, Mailbox
+from gear_dynamics_ros.realtime.pacing import Pace, Pacer
+from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.run import Run
+from gear_dynamics_ros.system.threads import name_thread
 
 PATIENCE = 2.0  # s of silence while the kernel compiles
 T = TypeVar("T")

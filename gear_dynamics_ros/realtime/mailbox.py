@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import NamedTuple
 
+from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.parameters import Parameters, specifications
-from gear_dynamics_ros.signals import Commands
-from gear_dynamics_ros.topics import FLOAT_COMMANDS, JOINT_COMMAND
 
 # Of a burst between two chunk edges as many are recorded; those before them had no effect.
 MOST_RECEIVED = 1000
@@ -122,38 +121,3 @@ class Mailbox:
         if lowest <= value <= highest:  # false for NaN
             return ""
         return f"{name} {value:g} refused: not within {lowest:g} to {highest:g}; the last good one stays"
-
-
-def changes_meant(key: str, message: Any, prefix: str) -> tuple[dict[str, float], list[str]]:
-    """Changes that a message on the command topic ``key`` means, and names of joints that take no commands.
-
-    ``prefix`` is joint_prefix.
-    """
-    if key == JOINT_COMMAND:
-        return joint_changes(prefix, message.name, message.velocity, message.effort)
-    return {FLOAT_COMMANDS[key]: float(message.data)}, []
-
-
-def joint_changes(
-    prefix: str, names: Sequence[str], velocity: Sequence[float], effort: Sequence[float]
-) -> tuple[dict[str, float], list[str]]:
-    """Changes that a JointState means, and the names in it of joints that take no commands.
-
-    An empty array, a missing or a NaN entry leaves that command as it is.
-    """
-    wanted: dict[str, float] = {}
-    unknown: list[str] = []
-    for index, name in enumerate(names):
-        if name == f"{prefix}driving":
-            _put(wanted, "speed", velocity, index)
-            _put(wanted, "drive_torque", effort, index)
-        elif name == f"{prefix}driven":
-            _put(wanted, "load_torque", effort, index)
-        elif name != f"{prefix}mesh":  # ros2_control names every joint it has, commanded or not
-            unknown.append(name)
-    return wanted, unknown
-
-
-def _put(wanted: dict[str, float], name: str, values: Sequence[float], index: int) -> None:
-    if index < len(values) and not math.isnan(values[index]):
-        wanted[name] = float(values[index])

@@ -6,10 +6,16 @@ import json
 from collections.abc import Iterable
 
 from gear_dynamics_ros import __version__
-from gear_dynamics_ros.engine import kernel_hash
-from gear_dynamics_ros.messages import bearing_frame
+from gear_dynamics_ros.channels import (
+    CHANNELS,
+    ENERGIES,
+    IMPACTS,
+    PACE,
+    Channel,
+)
+from gear_dynamics_ros.messages.encoder import bearing_frame
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.signals import CHANNELS, ENERGIES, IMPACTS, PACE, Channel
+from gear_dynamics_ros.simulation.engine import kernel_hash
 from gear_dynamics_ros.topics import TOPICS, resolve
 
 

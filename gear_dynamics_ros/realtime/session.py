@@ -8,20 +8,23 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
-from gear_dynamics_ros import checkpoints, model_info
-from gear_dynamics_ros.commands import Mailbox
-from gear_dynamics_ros.condition import ConditionSink
-from gear_dynamics_ros.engine import Engine, require_resumable
+from gear_dynamics_ros.chunk import Chunk
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.live import Live
-from gear_dynamics_ros.messages import Encoder, Record
-from gear_dynamics_ros.pacing import Pace
+from gear_dynamics_ros.events import PAUSE, RESUME
+from gear_dynamics_ros.messages.encoder import Encoder, Record
 from gear_dynamics_ros.parameters import Parameters, differences
+from gear_dynamics_ros.realtime import model_info
+from gear_dynamics_ros.realtime.condition import ConditionSink
+from gear_dynamics_ros.realtime.engine_thread import Live
+from gear_dynamics_ros.realtime.mailbox import Mailbox
+from gear_dynamics_ros.realtime.pacing import Pace
+from gear_dynamics_ros.realtime.recording_control import Recordings
+from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.recording.ring import Excerpt
-from gear_dynamics_ros.recording.writer import Recorder
-from gear_dynamics_ros.recordings import Recordings
-from gear_dynamics_ros.run import Run, Sink
-from gear_dynamics_ros.signals import PAUSE, RESUME, Chunk
+from gear_dynamics_ros.simulation import checkpoints
+from gear_dynamics_ros.simulation.engine import Engine, require_resumable
+from gear_dynamics_ros.simulation.run import Run
+from gear_dynamics_ros.simulation.sinks import Sink
 
 
 class Session:

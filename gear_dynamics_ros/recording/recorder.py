@@ -16,17 +16,18 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from gear_dynamics_ros import __version__, checkpoints
+from gear_dynamics_ros import __version__
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.files import replace_text, sync_folder
-from gear_dynamics_ros.messages import Record
-from gear_dynamics_ros.origin import present
+from gear_dynamics_ros.messages.encoder import Record
 from gear_dynamics_ros.parameters import Parameters, dump
 from gear_dynamics_ros.recording import layout
-from gear_dynamics_ros.recording.history import TOLD, History
+from gear_dynamics_ros.recording.digest import TOLD, History
 from gear_dynamics_ros.recording.layout import Part, RunMetadata
-from gear_dynamics_ros.recording.mcap_writer import McapWriter
-from gear_dynamics_ros.threads import name_thread
+from gear_dynamics_ros.recording.mcap.writer import McapWriter
+from gear_dynamics_ros.simulation import checkpoints
+from gear_dynamics_ros.simulation.provenance import present
+from gear_dynamics_ros.system.files import replace_text, sync_folder
+from gear_dynamics_ros.system.threads import name_thread
 from gear_dynamics_ros.topics import TOPICS, Topic
 
 # Three seconds of every channel at 100 kHz: longer than a disk usually pauses.

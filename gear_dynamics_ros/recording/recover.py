@@ -22,13 +22,20 @@ from mcap.writer import MCAP0_MAGIC
 
 from gear_dynamics_ros import __version__
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.files import replace_text, sync_folder
-from gear_dynamics_ros.messages import TYPESTORE, RowReader
+from gear_dynamics_ros.messages.cdr import TYPESTORE
+from gear_dynamics_ros.messages.decoder import RowReader
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.layout import Definitions, Part, RunMetadata
-from gear_dynamics_ros.recording.mcap_writer import McapWriter
+from gear_dynamics_ros.recording.mcap.survey import (
+    Content,
+    Piece,
+    first_bytes,
+    read_summary,
+    walk,
+)
+from gear_dynamics_ros.recording.mcap.writer import McapWriter
 from gear_dynamics_ros.recording.parts import part_files, reading
-from gear_dynamics_ros.recording.survey import Content, Piece, first_bytes, read_summary, walk
+from gear_dynamics_ros.system.files import replace_text, sync_folder
 from gear_dynamics_ros.topics import TOPICS, Topic, resolve
 
 _LIBRARY: Final = f"{layout.RUN_METADATA} {__version__}"

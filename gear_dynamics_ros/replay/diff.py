@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from gear_dynamics_ros.analysis.comparison import ANGLES, Comparison, Difference, distance
 from gear_dynamics_ros.analysis.statistics import Envelope, Quantities
 from gear_dynamics_ros.analysis.summary import UNITS
+from gear_dynamics_ros.chunk import Commands, Samples
 from gear_dynamics_ros.recording import Event, Recording
-from gear_dynamics_ros.recording.pairing import Ends, Pair
-from gear_dynamics_ros.samples import Samples
-from gear_dynamics_ros.signals import Commands
+from gear_dynamics_ros.replay.pairing import Ends, Pair
 
 if TYPE_CHECKING:
     from gear_dynamics_ros.analysis.figures import Overlay

@@ -8,11 +8,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gear_dynamics_ros.engine import Engine
-from gear_dynamics_ros.messages import RowReader
+from gear_dynamics_ros.chunk import Status
+from gear_dynamics_ros.events import (
+    CHANGE,
+    END,
+    EVENTS,
+    RESTORE,
+)
+from gear_dynamics_ros.messages.decoder import RowReader
 from gear_dynamics_ros.parameters import Parameters, differences
 from gear_dynamics_ros.recording.reader import Event, RecordedChunk
-from gear_dynamics_ros.signals import CHANGE, END, EVENTS, RESTORE, Status
+from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.topics import is_rows
 
 

@@ -8,11 +8,11 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Final, NamedTuple
 
+from gear_dynamics_ros.chunk import Commands, Samples
 from gear_dynamics_ros.errors import UsageError
+from gear_dynamics_ros.events import CHANGE, RESET, RESTORE
 from gear_dynamics_ros.parameters import differences
 from gear_dynamics_ros.recording.reader import Event, Recording
-from gear_dynamics_ros.samples import Samples
-from gear_dynamics_ros.signals import CHANGE, RESET, RESTORE, Commands
 
 BY_TIME: Final = "time"
 BY_START: Final = "start"

@@ -17,18 +17,26 @@ from threading import Event as Flag
 from threading import Lock
 from typing import Final, NamedTuple, TypeAlias, TypeVar
 
-from gear_dynamics_ros import checkpoints, origin
-from gear_dynamics_ros.commands import RELEASED, changes_meant
-from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.fidelity import Difference, State, compare_event, compare_message, compare_state
-from gear_dynamics_ros.messages import Encoder
-from gear_dynamics_ros.origin import Origin
+from gear_dynamics_ros.events import CHANGE, RESET, RESTORE
+from gear_dynamics_ros.messages.decoder import changes_meant
+from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import parse, updated
+from gear_dynamics_ros.realtime.mailbox import RELEASED
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.parts import Stored
 from gear_dynamics_ros.recording.reader import Event, RecordedChunk, Recording
-from gear_dynamics_ros.signals import CHANGE, RESET, RESTORE, Commands
+from gear_dynamics_ros.replay.fidelity import (
+    Difference,
+    State,
+    compare_event,
+    compare_message,
+    compare_state,
+)
+from gear_dynamics_ros.simulation import checkpoints, provenance
+from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.provenance import Origin
 from gear_dynamics_ros.topics import OF_A_CHUNK
 
 T = TypeVar("T")
@@ -86,7 +94,7 @@ class _Tally(NamedTuple):
     untold: Difference | None = None  # the first digest that does not fit what the recording tells
 
 
-def verify(
+def verify_recording(
     recording: Recording,
     start: float | None = None,
     progress: Callable[[int], None] | None = None,
@@ -132,7 +140,7 @@ def verify(
 def origins(recording: Recording) -> list[str]:
     """What of the program and the machine differs between the recording and this process, a line each."""
     run = recording.run._asdict()
-    return origin.differences(Origin(**{name: run[name] for name in Origin._fields}))
+    return provenance.differences(Origin(**{name: run[name] for name in Origin._fields}))
 
 
 class _Counter:

@@ -10,8 +10,8 @@ from rclpy.context import Context
 from rclpy.exceptions import InvalidServiceNameException, InvalidTopicNameException
 from rclpy.signals import SignalHandlerOptions
 
-from gear_dynamics_ros.discovery import stay_local
 from gear_dynamics_ros.errors import UsageError
+from gear_dynamics_ros.ros.discovery import stay_local
 
 
 @contextmanager

@@ -9,14 +9,14 @@ from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from gear_dynamics_ros.commands import Tally
-from gear_dynamics_ros.condition import Condition
-from gear_dynamics_ros.pacing import Pace
+from gear_dynamics_ros.chunk import Commands, Counters
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics.step_check import Check
-from gear_dynamics_ros.recording.writer import Stats
-from gear_dynamics_ros.session import Session
-from gear_dynamics_ros.signals import Commands, Counters
+from gear_dynamics_ros.realtime.condition import Condition
+from gear_dynamics_ros.realtime.mailbox import Tally
+from gear_dynamics_ros.realtime.pacing import Pace
+from gear_dynamics_ros.realtime.session import Session
+from gear_dynamics_ros.recording.recorder import Stats
 from gear_dynamics_ros.viewer import Viewer
 
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from gear_dynamics_ros.resources import share_file
+from gear_dynamics_ros.system.share import share_file
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 LOCAL = "LOCALHOST"

@@ -19,14 +19,16 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
+from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.events import CHANGE, PAUSE
 from gear_dynamics_ros.harness.recorded import Act, Moment, Reset, Script, require_edges
-from gear_dynamics_ros.messages import applied_commands, stamp_ns
-from gear_dynamics_ros.node_topics import quality
+from gear_dynamics_ros.messages.cdr import stamp_ns
+from gear_dynamics_ros.messages.decoder import applied_commands
 from gear_dynamics_ros.parameters import specifications
-from gear_dynamics_ros.process import noted_signals
-from gear_dynamics_ros.ros_client import ros_context
-from gear_dynamics_ros.signals import CHANGE, PAUSE, Commands
+from gear_dynamics_ros.ros.client_context import ros_context
+from gear_dynamics_ros.ros.node_topics import quality
+from gear_dynamics_ros.system.processes import noted_signals
 from gear_dynamics_ros.topics import TOPICS, resolve
 
 POLL = 0.1  # s of wall time

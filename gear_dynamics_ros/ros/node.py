@@ -19,16 +19,19 @@ from rclpy.parameter import Parameter
 from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.serialization import serialize_message
 
-from gear_dynamics_ros import checkpoints, diagnostics, node_parameters, node_topics
-from gear_dynamics_ros.commands import Mailbox, changes_meant
-from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.live import warm_up
-from gear_dynamics_ros.node_services import create_services
+from gear_dynamics_ros.messages.decoder import changes_meant
 from gear_dynamics_ros.parameters import Parameters, require_changeable
 from gear_dynamics_ros.physics import step_check
-from gear_dynamics_ros.run import ViewerSink, advice
-from gear_dynamics_ros.session import Session
+from gear_dynamics_ros.realtime.engine_thread import warm_up
+from gear_dynamics_ros.realtime.mailbox import Mailbox
+from gear_dynamics_ros.realtime.session import Session
+from gear_dynamics_ros.ros import diagnostics, node_parameters, node_topics
+from gear_dynamics_ros.ros.node_services import create_services
+from gear_dynamics_ros.simulation import checkpoints
+from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.run import advice
+from gear_dynamics_ros.simulation.sinks import ViewerSink
 from gear_dynamics_ros.viewer import Viewer, open_viewer
 
 WARN_EVERY = 5.0  # s

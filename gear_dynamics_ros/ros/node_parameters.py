@@ -13,7 +13,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from gear_dynamics_ros.parameters import Parameters, Specification, differences, specifications, updated
-from gear_dynamics_ros.ros_yaml import resolve
+from gear_dynamics_ros.parameters.rcl_yaml import resolve
 
 # Declared by rclpy for every node, or by whoever overrides a quality of service.
 FOREIGN = ("use_sim_time", "start_type_description_service")

@@ -13,12 +13,12 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args, try_shutdown
 
 from gear_dynamics_ros.cli.common import FAILURE, guarded
-from gear_dynamics_ros.discovery import stay_local
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.live import warm_up
-from gear_dynamics_ros.node import GearboxNode
-from gear_dynamics_ros.process import Parent, Signals
-from gear_dynamics_ros.threads import wake_punctually
+from gear_dynamics_ros.realtime.engine_thread import warm_up
+from gear_dynamics_ros.ros.discovery import stay_local
+from gear_dynamics_ros.ros.node import GearboxNode
+from gear_dynamics_ros.system.processes import Parent, Signals
+from gear_dynamics_ros.system.threads import wake_punctually
 
 SPIN = 1.0  # s
 

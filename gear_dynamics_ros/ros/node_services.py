@@ -10,7 +10,7 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.session import Session
+from gear_dynamics_ros.realtime.session import Session
 
 Act = Callable[[Any], str]
 Find = Callable[[], Session]

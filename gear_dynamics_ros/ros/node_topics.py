@@ -14,9 +14,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
+from gear_dynamics_ros.chunk import Chunk
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.messages import Record, deserialize
-from gear_dynamics_ros.signals import Chunk
+from gear_dynamics_ros.messages.cdr import deserialize
+from gear_dynamics_ros.messages.encoder import Record
 from gear_dynamics_ros.topics import COMMAND_TOPICS, TOPICS, Topic
 
 Publishers = Mapping[str, Publisher]

@@ -19,14 +19,14 @@ from std_msgs.msg import Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.events import END, RESET
 from gear_dynamics_ros.harness.player import Player
 from gear_dynamics_ros.harness.profile import Profile
 from gear_dynamics_ros.harness.results import Result, unreached
-from gear_dynamics_ros.messages import waveform_samples
-from gear_dynamics_ros.node_topics import quality
-from gear_dynamics_ros.process import noted_signals
-from gear_dynamics_ros.ros_client import ros_context
-from gear_dynamics_ros.signals import END, RESET
+from gear_dynamics_ros.messages.decoder import waveform_samples
+from gear_dynamics_ros.ros.client_context import ros_context
+from gear_dynamics_ros.ros.node_topics import quality
+from gear_dynamics_ros.system.processes import noted_signals
 from gear_dynamics_ros.topics import TOPICS, resolve
 
 # s of wall time after which a value that stays is said again: a gearbox may have a command timeout.

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from gear_dynamics_ros import __version__
-from gear_dynamics_ros.engine import Engine, kernel_hash
+from gear_dynamics_ros.chunk import Status
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.files import replace_text
 from gear_dynamics_ros.parameters import Parameters, differences, specifications, updated
-from gear_dynamics_ros.signals import Status
+from gear_dynamics_ros.simulation.engine import Engine, kernel_hash
+from gear_dynamics_ros.system.files import replace_text
 
 # What decides the future of a state: whole groups but for some of their members.
 _PHYSICS: Final = (

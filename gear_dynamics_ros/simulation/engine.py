@@ -11,10 +11,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gear_dynamics_ros.channels import (
+    CHANNELS,
+    COLUMN,
+    ENERGIES,
+    IMPACTS,
+)
+from gear_dynamics_ros.chunk import (
+    Chunk,
+    Commands,
+    Counters,
+    Status,
+)
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.parameters import Operation, Parameters, differences, require_changeable, updated
 from gear_dynamics_ros.physics import derived, kernel
-from gear_dynamics_ros.signals import CHANNELS, COLUMN, ENERGIES, IMPACTS, Chunk, Commands, Counters, Status
 
 CHECKPOINT_FORMAT = 2
 IMPACTS_A_CALL = 256

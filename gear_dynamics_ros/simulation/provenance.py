@@ -13,7 +13,7 @@ import numpy as np
 from llvmlite import binding
 
 from gear_dynamics_ros import __version__
-from gear_dynamics_ros.engine import kernel_hash
+from gear_dynamics_ros.simulation.engine import kernel_hash
 
 
 class Origin(NamedTuple):

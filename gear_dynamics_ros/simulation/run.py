@@ -8,45 +8,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
-from typing import Any, Protocol
+from typing import Any
 
-from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.chunk import Chunk, Commands, Status
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.messages import Encoder, Record
+from gear_dynamics_ros.events import (
+    CHANGE,
+    END,
+    RESET,
+    RESTORE,
+    START,
+)
+from gear_dynamics_ros.messages.encoder import Encoder, Record
 from gear_dynamics_ros.parameters import Parameters, differences
-from gear_dynamics_ros.signals import CHANGE, END, RESET, RESTORE, START, Chunk, Commands, Status
-
-
-class Sink(Protocol):
-    """Takes what a run makes; owns what it keeps."""
-
-    def write(self, chunk: Chunk | None, records: Sequence[Record]) -> None:
-        """Messages in order of time, and the chunk they came from; no chunk for what happens between two."""
-
-    def close(self) -> None:
-        """Finish; nothing is written afterwards."""
-
-
-class ChunkWriter(Protocol):
-    """What ``ViewerSink`` needs of a viewer."""
-
-    def write(self, chunk: Chunk) -> None: ...
-
-    def close(self) -> None: ...
-
-
-class ViewerSink:
-    """Gives a viewer the chunks of a run."""
-
-    def __init__(self, viewer: ChunkWriter) -> None:
-        self._viewer = viewer
-
-    def write(self, chunk: Chunk | None, _: Sequence[Record]) -> None:
-        if chunk is not None:
-            self._viewer.write(chunk)
-
-    def close(self) -> None:
-        self._viewer.close()
+from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.sinks import Sink
 
 
 class Run:

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
-from gear_dynamics_ros.threads import name_thread
+from gear_dynamics_ros.system.threads import name_thread
 
 
 @contextmanager

@@ -13,7 +13,7 @@ PACKAGE = "gear_dynamics_ros"
 
 def _share_directories() -> Iterator[Path]:
     # A symlinked build leads back to the checkout, whose files are the ones being edited.
-    here = Path(__file__).resolve().parent
+    here = Path(__file__).resolve().parents[1]
     if (here.parent / "package.xml").is_file():
         yield here.parent
     for prefix in here.parents:

@@ -12,7 +12,13 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.recording.tables import INTEGER, NUMBER, TEXT, Column, row_type
+from gear_dynamics_ros.recording.export.tables import (
+    INTEGER,
+    NUMBER,
+    TEXT,
+    Column,
+    row_type,
+)
 
 # A reader decompresses a whole row group to get at one row, and pays for each group that it opens.
 ROW_GROUP: Final = 60_000

@@ -11,10 +11,16 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gear_dynamics_ros.channels import (
+    CHANNELS,
+    ENERGIES,
+    IMPACTS,
+    Channel,
+)
+from gear_dynamics_ros.chunk import Commands, Counters
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.recording import windows
 from gear_dynamics_ros.recording.reader import BLOCK_SAMPLES, Event, Recording
-from gear_dynamics_ros.signals import CHANNELS, ENERGIES, IMPACTS, Channel, Commands, Counters
 
 NUMBER: Final = "<f8"
 INTEGER: Final = "<i8"

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
 
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.files import sync_folder
-from gear_dynamics_ros.recording import tables
+from gear_dynamics_ros.recording.export import tables
+from gear_dynamics_ros.recording.export.formats import FORMATS, Maker
+from gear_dynamics_ros.recording.export.tables import Table
 from gear_dynamics_ros.recording.reader import Recording
-from gear_dynamics_ros.recording.table_files import FORMATS, Maker
-from gear_dynamics_ros.recording.tables import Table
+from gear_dynamics_ros.system.files import sync_folder
 
 PARTIAL: Final = ".part"
 

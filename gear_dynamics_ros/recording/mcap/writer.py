@@ -28,7 +28,7 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 
-from gear_dynamics_ros.recording.survey import Survey, encode, ending
+from gear_dynamics_ros.recording.mcap.survey import Survey, encode, ending
 
 CHUNK_BYTES: Final = 1 << 20
 # Higher levels cost twice the time and save a tenth of a per cent: samples of doubles hardly compress.
