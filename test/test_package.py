@@ -111,7 +111,7 @@ def test_executable_passes_arguments_and_exit_code_on(installed: Installation) -
 
 def test_shared_files_are_found(installed: Installation) -> None:
     assert (installed.prefix / "share/ament_index/resource_index/packages" / PACKAGE).is_file()
-    code = f"from {PACKAGE}.resources import share_file; print(*map(share_file, {SHARED}), sep='\\n')"
+    code = f"from {PACKAGE}.system.share import share_file; print(*map(share_file, {SHARED}), sep='\\n')"
     done = installed.run(sys.executable, "-c", code)
     share = installed.prefix / "share" / PACKAGE
     assert done.stdout.splitlines() == [str(share / name) for name in SHARED], done.stderr
@@ -155,7 +155,9 @@ def test_ctrl_c_while_a_command_is_loaded_is_told_in_a_line(tmp_path: Path, name
 
 
 def test_engine_analysis_and_recording_need_neither_ros_nor_viewer() -> None:
-    modules = ", ".join(f"{PACKAGE}.{name}" for name in ("engine", "analysis", "recording", "cli.simulate"))
+    modules = ", ".join(
+        f"{PACKAGE}.{name}" for name in ("simulation.engine", "analysis", "recording", "cli.simulate")
+    )
     code = f"import sys; sys.modules.update(rclpy=None, rerun=None); import {modules}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
