@@ -39,7 +39,8 @@ def describe(parameters: Parameters, epoch_ns: int, node: str) -> str:
             "impacts": _columns(IMPACTS),
             "pacing": _columns(PACE),
             "topics": {
-                resolve(topic, node): {"type": topic.type, "content": topic.help} for topic in TOPICS.values()
+                resolve(topic, node): {"type": topic.type, "content": topic.content}
+                for topic in TOPICS.values()
             },
             "parameters": parameters.to_flat(),
         }

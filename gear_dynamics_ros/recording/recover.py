@@ -456,9 +456,7 @@ def _topics(schemas: Mapping[int, Schema], channels: Mapping[int, Channel], node
     """Topics by full name, with the quality of service of this version's, or the usual one."""
     known = {resolve(topic, node): topic for topic in TOPICS.values()}
     return {
-        channel.topic: known.get(
-            channel.topic, Topic(channel.topic, schemas[channel.schema_id].name, True, 10, False, "")
-        )
+        channel.topic: known.get(channel.topic, Topic(channel.topic, schemas[channel.schema_id].name, ""))
         for channel in channels.values()
     }
 
