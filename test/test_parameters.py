@@ -304,6 +304,20 @@ def test_whole_numbers_of_steps_and_samples_are_exact(
     assert (solver.steps_per_sample, solver.sample_interval_ns, solver.samples_per_chunk) == counts
 
 
+def test_counts_of_steps_and_samples_are_worked_out_once_for_each_solver() -> None:
+    solver = Parameters.from_flat({"solver.sample_interval": 3e-3, "solver.chunk": 0.9}).solver
+    assert solver.steps_per_sample is solver.steps_per_sample
+    assert solver.sample_interval_ns is solver.sample_interval_ns
+    assert solver.samples_per_chunk is solver.samples_per_chunk
+    other = dataclasses.replace(solver, sample_interval=1e-3)
+    assert (other.steps_per_sample, other.sample_interval_ns, other.samples_per_chunk) == (
+        1000,
+        1_000_000,
+        900,
+    )
+    assert dataclasses.replace(other, sample_interval=3e-3) == solver
+
+
 def test_an_object_built_by_hand_is_checked_as_well() -> None:
     good = Parameters(gears=GearPairParameters(driving=GearParameters(teeth=23)))
     assert good.to_flat()["gears.driving.teeth"] == 23

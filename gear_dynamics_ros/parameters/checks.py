@@ -37,9 +37,6 @@ SMALLEST_SPLIT: Final = 1_000_000  # bytes
 _TYPE_WORDS: Final = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
 
 
-# Single values
-
-
 def converted_value(row: Specification, value: object) -> Value:
     """``value`` in the type of the parameter: an integer becomes a float, and any sequence a tuple.
 
@@ -142,9 +139,6 @@ def _any_text(value: object) -> str:
     if isinstance(value, str):
         return repr(value)
     return scalar_text(value) if isinstance(value, bool | float) else str(value)
-
-
-# Values that must fit together
 
 
 def check_bearings(bearings: BearingPairParameters) -> None:

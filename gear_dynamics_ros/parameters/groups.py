@@ -190,7 +190,7 @@ class BearingParameters:
 
 @dataclass(frozen=True, slots=True)
 class BearingPairParameters:
-    """Both bearings: materials and contact law in common, dimensions each."""
+    """Both bearings: what they have in common, and each one."""
 
     shaft: MaterialParameters = field(default_factory=MaterialParameters)
     sleeve: MaterialParameters = field(default_factory=MaterialParameters)
@@ -312,7 +312,7 @@ class OperationParameters:
     )
     initial: str = parameter(
         "touching",
-        "start state; touching: drive flanks in contact at operation.speed; rest: all speeds 0",
+        "start state, drive flanks in contact; touching: at operation.speed; rest: both speeds 0",
         choices=("touching", "rest"),
     )
 
@@ -321,7 +321,7 @@ class OperationParameters:
 class SolverParameters:
     """Grid of simulated time: steps, samples, chunks."""
 
-    step: float = parameter(1.0e-6, "integration step: constant", unit="s", minimum=1e-9, maximum=1e-2)
+    step: float = parameter(1.0e-6, "fixed integration step", unit="s", minimum=1e-9, maximum=1e-2)
     sample_interval: float = parameter(
         1.0e-5,
         "interval between waveform samples: a whole number of nanoseconds and of steps",
@@ -376,7 +376,7 @@ class PacingParameters:
     )
     catch_up_limit: float = parameter(
         0.1,
-        "largest delay that catch_up makes up for; the rest slips",
+        "largest delay that catch_up makes up for; what exceeds it is lost, as with slip",
         unit="s",
         minimum=0.0,
         maximum=3600.0,
