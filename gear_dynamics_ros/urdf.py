@@ -17,7 +17,7 @@ from xml.etree import ElementTree as Xml
 from gear_dynamics_ros.cli.common import add_settings, guarded
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.messages.encoder import bearing_frame
-from gear_dynamics_ros.parameters import NODE, Parameters, load, specifications
+from gear_dynamics_ros.parameters import GEARBOX_NODE_NAME, Parameters, load_parameters, specifications
 from gear_dynamics_ros.physics.derived import base_radii
 from gear_dynamics_ros.system.share import share_file
 from gear_dynamics_ros.topics import TOPICS, resolve
@@ -29,7 +29,7 @@ UPWARD, DOWNWARD = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
 Vector = tuple[float, float, float]
 
 
-def urdf(parameters: Parameters, node: str = NODE) -> str:
+def urdf(parameters: Parameters, node: str = GEARBOX_NODE_NAME) -> str:
     """URDF, with a ros2_control block, of the gearbox that the node with the full name ``node`` runs.
 
     Joints are those of ``joint_states``; each bearing's link is the frame of its ``bearing_force``. A gear is
@@ -161,15 +161,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     add_settings(parser)
     parser.add_argument(
-        "--node", default=NODE, metavar="NAME", help="full name of the gearbox (default: %(default)s)"
+        "--node",
+        default=GEARBOX_NODE_NAME,
+        metavar="NAME",
+        help="full name of the gearbox (default: %(default)s)",
     )
     return guarded(_print, parser, argv)
 
 
 def _print(arguments: argparse.Namespace) -> int:
     if not arguments.node.startswith("/") or arguments.node.endswith("/"):
-        raise UsageError(f"--node is {arguments.node!r}, no full name of a node: give one like {NODE}")
-    parameters = load(arguments.params_file or share_file("config/gearbox.yaml"), arguments.set)
+        raise UsageError(
+            f"--node is {arguments.node!r}, no full name of a node: give one like {GEARBOX_NODE_NAME}"
+        )
+    parameters = load_parameters(arguments.params_file or share_file("config/gearbox.yaml"), arguments.set)
     print(urdf(parameters, arguments.node), end="")
     return 0
 

@@ -14,7 +14,7 @@ from gear_dynamics_ros.chunk import Chunk
 from gear_dynamics_ros.cli.common import SIGNALLED, Progress, add_settings, guarded
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.encoder import Encoder, Record
-from gear_dynamics_ros.parameters import Parameters, load, read_settings, updated
+from gear_dynamics_ros.parameters import Parameters, load_parameters, read_settings, updated
 from gear_dynamics_ros.physics import step_check
 from gear_dynamics_ros.realtime.engine_thread import warm_up
 from gear_dynamics_ros.recording.recorder import Recorder
@@ -71,7 +71,9 @@ def simulate(arguments: argparse.Namespace) -> int:
     """Simulate and record; exit code 1 if the run ended before its time, 128 + n if signal n broke it off."""
     if arguments.from_checkpoint is None:
         saved = None
-        parameters = load(arguments.params_file or share_file("config/gearbox.yaml"), arguments.set)
+        parameters = load_parameters(
+            arguments.params_file or share_file("config/gearbox.yaml"), arguments.set
+        )
     else:
         saved = checkpoints.load(arguments.from_checkpoint)
         parameters = updated(saved.parameters, read_settings(arguments.set))
