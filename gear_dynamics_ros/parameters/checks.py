@@ -180,7 +180,7 @@ def check_operation(operation: OperationParameters, mesh_phase: str) -> None:
     """Check the speed set-point against its limit, and the start state against the mesh phase."""
     if abs(operation.speed) > operation.speed_limit:
         raise UsageError(
-            f"operation.speed = {value_text(operation.speed)} rad/s exceeds operation.speed_limit = "
+            f"operation.speed = {value_text(operation.speed)} rad/s is beyond operation.speed_limit = "
             f"{value_text(operation.speed_limit)} rad/s: reduce the speed or increase the limit"
         )
     if operation.initial == "rest" and mesh_phase == "nominal":

@@ -15,7 +15,18 @@ from typing import Any, Final
 
 from gear_dynamics_ros.channels import CHANNEL_NAMES, COLUMN
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.parameters import checks
+from gear_dynamics_ros.parameters.checks import (
+    check_bearings,
+    check_mesh,
+    check_operation,
+    check_recording,
+    check_rerun,
+    check_solver,
+    check_surface,
+    check_value,
+    check_waveform_channels,
+    converted_value,
+)
 from gear_dynamics_ros.parameters.groups import (
     BearingPairParameters,
     CheckpointParameters,
@@ -97,15 +108,15 @@ class Parameters:
 
     def __post_init__(self) -> None:
         for name, value in _leaves(self, ""):
-            checks.check_value(specifications()[name], value)
-        checks.check_bearings(self.bearings)
-        checks.check_mesh(self.mesh)
-        checks.check_surface(self.surface, self.gears)
-        checks.check_operation(self.operation, self.mesh_phase)
-        checks.check_solver(self.solver)
-        checks.check_waveform_channels(self.waveform_channels)
-        checks.check_recording(self.recording)
-        checks.check_rerun(self.rerun)
+            check_value(specifications()[name], value)
+        check_bearings(self.bearings)
+        check_mesh(self.mesh)
+        check_surface(self.surface, self.gears)
+        check_operation(self.operation, self.mesh_phase)
+        check_solver(self.solver)
+        check_waveform_channels(self.waveform_channels)
+        check_recording(self.recording)
+        check_rerun(self.rerun)
 
     @classmethod
     def from_flat(cls, values: Mapping[str, object]) -> Parameters:
@@ -117,7 +128,7 @@ class Parameters:
         converted: dict[str, Value] = {}
         for name, value in values.items():
             if not ROS_OWN_PARAMETERS.fullmatch(name):
-                converted[name] = checks.converted_value(specification_of(name), value)
+                converted[name] = converted_value(specification_of(name), value)
         return cls(**_arguments(cls, "", converted))
 
     def to_flat(self) -> dict[str, Value]:
