@@ -22,7 +22,8 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from gear_dynamics_ros import palette
-from gear_dynamics_ros.cli.common import FAILURE, Progress, guarded
+from gear_dynamics_ros.cli.common import FAILURE, guarded
+from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages import deserialize
 from gear_dynamics_ros.origin import processor

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,9 +25,10 @@ from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.live import warm_up
 from gear_dynamics_ros.node_services import create_services
-from gear_dynamics_ros.parameters import Parameters, require_changeable
+from gear_dynamics_ros.parameters import require_changeable
 from gear_dynamics_ros.physics import step_check
-from gear_dynamics_ros.run import ViewerSink, advice
+from gear_dynamics_ros.physics.advice import parameter_warnings
+from gear_dynamics_ros.run import ViewerSink
 from gear_dynamics_ros.session import Session
 from gear_dynamics_ros.viewer import Viewer, open_viewer
 
@@ -117,7 +118,7 @@ class GearboxNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def _configure(self) -> None:
-        self._warn(warnings(self.parameters))
+        self._warn(parameter_warnings(self.parameters))
         if self.parameters.checkpoint.path:
             checkpoints.require_place(Path(self.parameters.checkpoint.path).absolute())
         warm_up(self.parameters, self._log.info)
@@ -237,8 +238,8 @@ class GearboxNode(LifecycleNode):
 
     def _take_parameters(self, parameters: list[Parameter]) -> None:
         old, self.parameters = self.parameters, node_parameters.changed(self.parameters, parameters)
-        known = warnings(old)
-        self._warn(line for line in warnings(self.parameters) if line not in known)
+        known = parameter_warnings(old)
+        self._warn(line for line in parameter_warnings(self.parameters) if line not in known)
         if self._session is not None:
             self._session.change(self.parameters)
         elif self._engine is not None:
@@ -294,8 +295,3 @@ class GearboxNode(LifecycleNode):
         )
         array = diagnostics.array(found, session.now_ns)
         session.report(pace, bytes(serialize_message(array)))
-
-
-def warnings(parameters: Parameters) -> Sequence[str]:
-    """What the operator should know of these parameters, a line each."""
-    return (*advice(parameters), *step_check.warnings(parameters))

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gear_dynamics_ros import __version__, checkpoints, recording, replay
-from gear_dynamics_ros.cli.simulate import main as simulate
+from gear_dynamics_ros.cli.simulate import simulate_main as simulate
 from gear_dynamics_ros.engine import Engine, kernel_hash
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.parameters import Parameters, specifications, updated

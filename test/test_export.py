@@ -19,7 +19,7 @@ from conftest import Process, StartProcess
 from pyarrow import parquet
 
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.cli.replay import main as replay_main
+from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.messages import Encoder
@@ -363,8 +363,8 @@ def test_a_broken_off_recording_exports_what_is_readable(
 FULL = """
 import resource, sys
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2)
-from gear_dynamics_ros.cli.replay import main
-sys.exit(main(sys.argv[2:]))
+from gear_dynamics_ros.cli.replay import replay_main
+sys.exit(replay_main(sys.argv[2:]))
 """
 
 
@@ -412,11 +412,13 @@ def test_a_killed_export_leaves_nothing_that_passes_for_whole(
 
 
 def test_parquet_without_pyarrow_is_one_clear_line(run: Path, tmp_path: Path) -> None:
-    code = "import sys; sys.modules.update(pyarrow=None); from gear_dynamics_ros.cli.replay import main; "
+    code = (
+        "import sys; sys.modules.update(pyarrow=None); from gear_dynamics_ros.cli.replay import replay_main; "
+    )
     for suffix, expected in (("parquet", 2), ("csv", 0), ("npy", 0)):
         words = ["export", str(run), "--output", str(tmp_path / f"x.{suffix}")]
         done = subprocess.run(
-            [sys.executable, "-c", code + "sys.exit(main(sys.argv[1:]))", *words],
+            [sys.executable, "-c", code + "sys.exit(replay_main(sys.argv[1:]))", *words],
             capture_output=True,
             text=True,
             timeout=120,

@@ -14,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.cli import drive
+from gear_dynamics_ros.cli.progress import ProgressLine
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.harness.player import Player
 from gear_dynamics_ros.harness.profile import Profile, load_profile
@@ -470,9 +471,8 @@ def test_progress_is_drawn_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -
         (io.StringIO(), ""),
     ):
         monkeypatch.setattr(sys, "stderr", terminal)
-        display = drive._Display()
-        display.update(player)
-        display.close()
+        with ProgressLine() as line:
+            drive._Watch(line)(player)
         assert expected in terminal.getvalue()
         assert bool(terminal.getvalue()) is bool(expected)
 
@@ -480,13 +480,13 @@ def test_progress_is_drawn_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -
 @pytest.mark.parametrize("arguments", [[], ["p.yaml", "--wait", "0"], ["p.yaml", "--timeout", "nan"]])
 def test_bad_usage_exits_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
-        drive.main(arguments)
+        drive.drive_main(arguments)
     assert caught.value.code == 2
     assert "drive: error:" in capsys.readouterr().err
 
 
 def test_a_missing_profile_exits_2_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert drive.main([str(tmp_path / "none.yaml")]) == 2
+    assert drive.drive_main([str(tmp_path / "none.yaml")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert (
         line

@@ -11,7 +11,8 @@ from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages import Encoder, applied_commands, deserialize, waveform_samples
 from gear_dynamics_ros.parameters import Parameters, updated
-from gear_dynamics_ros.run import Run, advice
+from gear_dynamics_ros.physics.advice import parameter_warnings
+from gear_dynamics_ros.run import Run
 from gear_dynamics_ros.signals import Commands
 from gear_dynamics_ros.topics import TOPICS
 
@@ -179,11 +180,13 @@ def test_a_sink_attached_later_learns_the_commands_in_force():
 
 def test_unbalanced_torques_are_named_with_the_acceleration_they_cause():
     torque = {"operation.control": "torque"}
-    assert advice(Parameters.from_flat(torque)) == []
-    assert advice(Parameters.from_flat({"operation.drive_torque": 31.0})) == []
-    (line,) = advice(Parameters.from_flat({**torque, "operation.drive_torque": 31.0}))
+    assert parameter_warnings(Parameters.from_flat(torque)) == []
+    assert parameter_warnings(Parameters.from_flat({"operation.drive_torque": 31.0})) == []
+    (line,) = parameter_warnings(Parameters.from_flat({**torque, "operation.drive_torque": 31.0}))
     assert "operation.drive_torque = 31" in line and "224.2 rad/s^2" in line
     assert (
-        advice(Parameters.from_flat({**torque, "operation.drive_torque": 15.0, "gears.driven.teeth": 80}))
+        parameter_warnings(
+            Parameters.from_flat({**torque, "operation.drive_torque": 15.0, "gears.driven.teeth": 80})
+        )
         == []
     )

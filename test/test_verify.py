@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 from gear_dynamics_ros import recording, replay
-from gear_dynamics_ros.cli.replay import main as replay_main
+from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages import Encoder, message_class, serialize

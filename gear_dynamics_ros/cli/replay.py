@@ -15,7 +15,7 @@ from gear_dynamics_ros.cli.replay_recover import add_recover
 from gear_dynamics_ros.cli.replay_verify import add_verify
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def replay_main(argv: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     parser = argparse.ArgumentParser(
         prog="replay",
@@ -28,4 +28,4 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(replay_main())

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.cli.common import Progress
+from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.recording import tables
 from gear_dynamics_ros.recording.export import export
 from gear_dynamics_ros.recording.table_files import FORMATS

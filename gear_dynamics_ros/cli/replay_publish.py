@@ -9,7 +9,8 @@ from dataclasses import replace
 from typing import Any
 
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.cli.common import SIGNALLED, Progress
+from gear_dynamics_ros.cli.common import SIGNALLED
+from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.cli.ros import add_gearbox, full_name, needing_ros
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.harness import recorded

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from gear_dynamics_ros.cli.common import Progress
+from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.recording.recover import PartReport, Report, Span, default_target, recover
 
 

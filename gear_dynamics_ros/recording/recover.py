@@ -8,10 +8,9 @@ from __future__ import annotations
 import itertools
 import json
 import os
-import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
@@ -22,7 +21,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from gear_dynamics_ros import __version__
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.files import replace_text, sync_folder
+from gear_dynamics_ros.files import new_folder, replace_text, require_new
 from gear_dynamics_ros.messages import TYPESTORE, RowReader
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.layout import Definitions, Part, RunMetadata
@@ -139,7 +138,7 @@ def recover(source: Path, target: Path, progress: Callable[[float], None] = lamb
     found, unbegun = _begun(found)
     left_out |= {part.path.name: "broke off before its start" for part in unbegun}
     track = _Track(next((part.run for part in found if part.run is not None), None))
-    with _draft(target) as draft:
+    with new_folder(target) as draft:
         rebuilt: list[_Rebuilt] = []
         for number, (part, name) in enumerate(zip(found, _names(found, target), strict=True)):
             stage = _stage(progress, len(files) + number, 2 * len(files))
@@ -256,12 +255,9 @@ class _Track:
 
 
 def _require_place(source: Path, target: Path) -> None:
-    if os.path.lexists(target):
-        raise UsageError(
-            f"--output: '{target}' exists already and is not overwritten: choose another path or move it away"
-        )
+    require_new(target)
     if Path(os.path.realpath(target)).is_relative_to(os.path.realpath(source)):
-        raise UsageError(f"--output: '{target}' lies inside the recording itself: choose a path beside it")
+        raise UsageError(f"'{target}' lies inside the recording itself: choose a path beside it")
 
 
 def _stage(progress: Callable[[float], None], number: int, count: int) -> Callable[[float], None]:
@@ -454,41 +450,3 @@ def _topics(schemas: Mapping[int, Schema], channels: Mapping[int, Channel], node
         )
         for channel in channels.values()
     }
-
-
-@contextmanager
-def _draft(target: Path) -> Iterator[Path]:
-    """Folder that takes the name ``target`` once the work in it is done, and goes if that fails."""
-    draft = target.with_name(f"{target.name}.part")
-    _make_folder(draft, target)
-    try:
-        yield draft
-        sync_folder(draft)
-        if os.path.lexists(target):
-            raise UsageError(f"--output: '{target}' has come into being meanwhile: choose another path")
-        draft.rename(target)
-        sync_folder(target.parent)
-    except BaseException as error:
-        shutil.rmtree(draft, ignore_errors=True)  # what went wrong before tells more
-        if isinstance(error, OSError):
-            raise GearboxError(
-                f"can't write '{target}': {error.strerror}: free space or choose another --output"
-            ) from error
-        raise
-
-
-def _make_folder(draft: Path, target: Path) -> None:
-    try:
-        draft.mkdir()
-    except FileExistsError:
-        raise UsageError(
-            f"--output: '{draft}' is left of a recovery that broke off: remove it or choose another path"
-        ) from None
-    except FileNotFoundError:
-        raise UsageError(
-            f"--output: the folder '{target.parent}' does not exist: make it or choose another path"
-        ) from None
-    except OSError as error:
-        raise UsageError(
-            f"--output: can't make '{target}': {error.strerror}: choose a writable place"
-        ) from error
