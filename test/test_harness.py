@@ -112,7 +112,7 @@ def test_chirp_has_its_frequencies_at_its_ends() -> None:
         ({"speed": [{"at": -1.0, "value": 1.0}]}, "commands.speed[0].at is -1 s, must be >= 0"),
         ({"speed": [{"at": 0.0}]}, "commands.speed[0] has no value"),
         ({"speed": [{"at": 0.0, "value": 1.0, "to": 2.0}]}, "commands.speed[0] has the unknown key 'to'"),
-        ({"speed": [{"from": 0.0, "to": 1.0, "value": 1.0}]}, "commands.speed[0] starts from no known value"),
+        ({"speed": [{"from": 0.0, "to": 1.0, "value": 1.0}]}, "commands.speed[0] has no value to start from"),
         (
             {"speed": [{"at": 1.0, "value": 1.0}, {"at": 1.0, "value": 2.0}]},
             "commands.speed[1] starts at 1 s",
@@ -125,7 +125,7 @@ def test_chirp_has_its_frequencies_at_its_ends() -> None:
                     {"at": 2.0, "value": 2.0},
                 ]
             },
-            "commands.speed[2] starts at 2 s, before the entry above is over (1 to 3 s)",
+            "commands.speed[2] starts at 2 s, before the entry above ends (1 to 3 s)",
         ),
         (
             {"speed": [{"at": 0.0, "value": 1.0}, {"from": 3.0, "to": 3.0, "value": 2.0}]},
@@ -217,7 +217,9 @@ def test_each_measure_takes_its_own_keys(entry: dict[str, Any], said: str) -> No
 def test_expectations_are_told_apart_by_name() -> None:
     calm = {"mean": "dte", "from": 0.0, "to": 1.0, "maximum": 1.0}
     assert len({e.name for e in expecting(calm, {**calm, "to": 2.0}).expectations}) == 2
-    with pytest.raises(UsageError, match=r"expectations\[1\].name is 'calm', as that of expectations\[0\]"):
+    with pytest.raises(
+        UsageError, match=r"expectations\[1\].name is 'calm', the same as that of expectations\[0\]"
+    ):
         expecting({**calm, "name": "calm"}, {**calm, "name": "calm"})
 
 

@@ -1,4 +1,4 @@
-"""replay: what may be done with a recording, each verb in a file of its own."""
+"""``replay VERB``: inspect, verify, repair, compare, export and play recordings."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from gear_dynamics_ros.cli.replay_verify import add_verify
 
 
 def replay_main(argv: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit code."""
+    """Run the command ``replay``; returns the exit code."""
     parser = argparse.ArgumentParser(
         prog="replay",
-        description="What may be done with recordings; replay VERB --help tells more.",
+        description="Inspect, verify, repair, compare, export and play recordings. See replay VERB --help.",
     )
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for add in (add_info, add_verify, add_recover, add_diff, add_export, add_publish):

@@ -1,4 +1,4 @@
-"""What is to be played to a live gearbox of a recording: a profile to follow, or a script for lockstep."""
+"""What to play to a live gearbox from a recording: a profile to follow, or a script for lockstep."""
 
 from __future__ import annotations
 
@@ -10,52 +10,52 @@ from typing import Any, TypeAlias
 
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.harness.profile import Profile
-from gear_dynamics_ros.harness.tracks import Segment, Track
+from gear_dynamics_ros.harness.tracks import CommandTrack, RampPiece
 from gear_dynamics_ros.recording.reader import Event, Recording
 from gear_dynamics_ros.signals import CHANGE, RESET, RESTORE, Commands
 
-# Parameters that are commands as well: a recording holds what they changed among its commands.
-COMMANDED = frozenset(f"operation.{name}" for name in Commands._fields)
-# They say when chunks are made, never what is in them; in lockstep the player decides when.
-TEMPO = ("pacing.", "stepping.")
+# Parameters that are commands too: a recording has their changes among its commands.
+COMMAND_PARAMETERS = frozenset(f"operation.{name}" for name in Commands._fields)
+# Parameters that decide when chunks are computed, never their content; in lockstep the player decides that.
+PACING_PREFIXES = ("pacing.", "stepping.")
 
 
 @dataclass(frozen=True, slots=True)
-class Reset:
-    """Back to the start state."""
+class ResetAction:
+    """Reset to the start state."""
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
-    """Parameters by dotted name, changed all together."""
+class ChangeAction:
+    """Change parameters, by dotted name, all at once."""
 
     parameters: Mapping[str, Any]
 
 
-Act: TypeAlias = Reset | Change
+ScriptAction: TypeAlias = ResetAction | ChangeAction
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
-    """What is done, in this order, before the sample at ``time_ns`` is made."""
+class ScriptStep:
+    """What is done, in this order, before the sample at ``time_ns`` is computed."""
 
     time_ns: int  # since the recording's first sample
-    acts: tuple[Act, ...]
+    actions: tuple[ScriptAction, ...]
     commands: Commands  # in force from then on
 
 
 @dataclass(frozen=True, slots=True)
-class Script:
-    """What a recording asks of a gearbox, to the sample. The first moment is at time 0."""
+class LockstepScript:
+    """What to do to a gearbox at which sample. The first step is at time 0."""
 
     duration_ns: int
-    moments: tuple[Moment, ...]
+    steps: tuple[ScriptStep, ...]
 
 
-def profile(recording: Recording) -> Profile:
-    """The recording's commands as steps of a profile, its first sample at time 0.
+def profile_of(recording: Recording) -> Profile:
+    """A profile of the recording's commands, its first sample at time 0.
 
-    Raises UsageError if it holds no sample.
+    Raises UsageError if the recording has no samples.
     """
     script = _script(recording, ())
     tracks = {name: _track(script, name) for name in Commands._fields}
@@ -69,23 +69,23 @@ def profile(recording: Recording) -> Profile:
     )
 
 
-def script(recording: Recording) -> Script:
+def script_of(recording: Recording) -> LockstepScript:
     """The recording's commands, resets and changes of parameters at their times.
 
-    Raises UsageError if it holds no sample.
+    Raises UsageError if the recording has no samples.
     """
     return _script(recording, recording.events)
 
 
-def from_start_state(script: Script) -> Script:
+def with_initial_reset(script: LockstepScript) -> LockstepScript:
     """``script`` with a reset before everything else."""
-    first, *others = script.moments
-    return replace(script, moments=(replace(first, acts=(Reset(), *first.acts)), *others))
+    first, *others = script.steps
+    return replace(script, steps=(replace(first, actions=(ResetAction(), *first.actions)), *others))
 
 
-def require_edges(script: Script, chunk_ns: int) -> None:
-    """Raise UsageError where something is done within a chunk, chunks being of ``chunk_ns``."""
-    times = [moment.time_ns for moment in script.moments]
+def require_chunk_edges(script: LockstepScript, chunk_ns: int) -> None:
+    """Raise UsageError if a step is not at the start of a chunk, with chunks of ``chunk_ns``."""
+    times = [step.time_ns for step in script.steps]
     inside = next((time_ns for time_ns in times if time_ns % chunk_ns), None)
     if inside is not None:
         fitting = math.gcd(*times, chunk_ns) / 1e9
@@ -96,9 +96,9 @@ def require_edges(script: Script, chunk_ns: int) -> None:
         )
 
 
-def left_out_of_profile(recording: Recording) -> Counter[str]:
-    """How many of which kind of event ``profile`` does without."""
-    changes = [event for event in _events(recording, CHANGE) if event.parameters.keys() - COMMANDED]
+def skipped_by_profile(recording: Recording) -> Counter[str]:
+    """Number of events by kind that ``profile_of`` leaves out."""
+    changes = [event for event in _events(recording, CHANGE) if event.parameters.keys() - COMMAND_PARAMETERS]
     return Counter(
         {
             "parameter changes": len(changes),
@@ -108,9 +108,9 @@ def left_out_of_profile(recording: Recording) -> Counter[str]:
     )
 
 
-def left_out_of_script(recording: Recording) -> Counter[str]:
-    """How many of which kind of event ``script`` does without."""
-    paced = [event for event in _events(recording, CHANGE) if any(map(_sets_tempo, event.parameters))]
+def skipped_by_script(recording: Recording) -> Counter[str]:
+    """Number of events by kind that ``script_of`` leaves out."""
+    paced = [event for event in _events(recording, CHANGE) if any(map(_sets_pacing, event.parameters))]
     return Counter(
         {
             "changes of pacing or stepping": len(paced),
@@ -119,38 +119,38 @@ def left_out_of_script(recording: Recording) -> Counter[str]:
     )
 
 
-def starts_from_start_state(recording: Recording) -> bool:
+def starts_at_start_state(recording: Recording) -> bool:
     """Whether the recording's first sample is the first after a start or a reset."""
     return int(recording.start["state"]["steps"]) == 0
 
 
-def _script(recording: Recording, events: Sequence[Event]) -> Script:
+def _script(recording: Recording, events: Sequence[Event]) -> LockstepScript:
     first, end = recording.first_sample, recording.end_sample
     if first == end:
-        raise UsageError(f"'{recording.path}' holds no sample: nothing to play")
+        raise UsageError(f"'{recording.path}' has no samples: nothing to play")
     interval_ns = recording.sample_interval_ns
-    acts: defaultdict[int, list[Act]] = defaultdict(list)
+    actions: defaultdict[int, list[ScriptAction]] = defaultdict(list)
     for event in events:
         if first <= event.sample < end:
-            acts[event.sample].extend(_acts(event))
+            actions[event.sample].extend(_actions(event))
     commands = {max(sample, first): commands for sample, commands in recording.commands if sample < end}
     in_force = Commands(**recording.start["commands"])
-    moments: list[Moment] = []
-    for sample in sorted({first} | acts.keys() | commands.keys()):
-        # After a reset the gearbox has commands of its own parameters: those in force are said again.
+    steps: list[ScriptStep] = []
+    for sample in sorted({first} | actions.keys() | commands.keys()):
+        # A reset sets the commands to those of the gearbox's parameters: repeat the commands in force.
         new = commands.get(sample, in_force)
-        if not moments or acts[sample] or new != in_force:
-            moments.append(Moment((sample - first) * interval_ns, tuple(acts[sample]), new))
+        if not steps or actions[sample] or new != in_force:
+            steps.append(ScriptStep((sample - first) * interval_ns, tuple(actions[sample]), new))
         in_force = new
-    return Script((end - first) * interval_ns, tuple(moments))
+    return LockstepScript((end - first) * interval_ns, tuple(steps))
 
 
-def _acts(event: Event) -> list[Act]:
+def _actions(event: Event) -> list[ScriptAction]:
     if event.kind == RESET:
-        return [Reset()]
+        return [ResetAction()]
     if event.kind == CHANGE:
-        parameters = {name: value for name, value in event.parameters.items() if not _sets_tempo(name)}
-        return [Change(parameters)] if parameters else []
+        parameters = {name: value for name, value in event.parameters.items() if not _sets_pacing(name)}
+        return [ChangeAction(parameters)] if parameters else []
     return []
 
 
@@ -159,15 +159,15 @@ def _events(recording: Recording, kind: str) -> list[Event]:
     return [event for event in recording.events if event.kind == kind and first <= event.sample < end]
 
 
-def _sets_tempo(name: str) -> bool:
-    return name.startswith(TEMPO)
+def _sets_pacing(name: str) -> bool:
+    return name.startswith(PACING_PREFIXES)
 
 
-def _track(script: Script, name: str) -> Track:
-    pieces: list[Segment] = []
-    for moment in script.moments:
-        value = float(getattr(moment.commands, name))
+def _track(script: LockstepScript, name: str) -> CommandTrack:
+    pieces: list[RampPiece] = []
+    for step in script.steps:
+        value = float(getattr(step.commands, name))
         if not pieces or value != pieces[-1].final:
-            time = moment.time_ns / 1e9
-            pieces.append(Segment(time, time, value, value))
-    return Track(tuple(pieces))
+            time = step.time_ns / 1e9
+            pieces.append(RampPiece(time, time, value, value))
+    return CommandTrack(tuple(pieces))
