@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 from gear_dynamics_ros.analysis.comparison import ChannelDifference
 from gear_dynamics_ros.analysis.summary import QUANTITY_UNITS
 from gear_dynamics_ros.divergence import SAMPLES_AFTER, RecordingDifference, first_above, window_around
-from gear_dynamics_ros.files import replace_file, replace_text
+from gear_dynamics_ros.files import output_file
 from gear_dynamics_ros.recording import Event, Recording
 from gear_dynamics_ros.recording.pairing import Ends
 
@@ -29,10 +29,12 @@ def write_difference(difference: RecordingDifference, folder: Path, align: str) 
     """Write NUMBERS_FILE, and FIGURE_FILE if any values differ, into ``folder``; returns their paths.
 
     Each file appears whole or not at all. ``align`` is how the recordings were aligned, BY_TIME or BY_START.
-    Raises OSError if a file can't be written.
+    Raises GearboxError if a file can't be written.
     """
     written = [folder / NUMBERS_FILE]
-    replace_text(written[0], json.dumps(difference_json(difference, align), indent=2, allow_nan=False) + "\n")
+    text = json.dumps(difference_json(difference, align), indent=2, allow_nan=False)
+    with output_file(written[0]) as stream:
+        stream.write(f"{text}\n".encode())
     if drawn := channels_to_draw(difference.differences):
         written.append(folder / FIGURE_FILE)
         _write_figure(difference, drawn, written[-1])
@@ -48,7 +50,7 @@ def _write_figure(difference: RecordingDifference, drawn: Sequence[str], path: P
         difference.pair.interval,
         _overlays(difference, drawn[0]),
     )
-    with replace_file(path) as stream:
+    with output_file(path) as stream:
         figures.write_png(figure, stream)
 
 

@@ -38,6 +38,13 @@ def replace_text(path: Path, text: str) -> None:
 
 
 @contextmanager
+def output_file(path: Path) -> Iterator[BinaryIO]:
+    """As ``replace_file``, but raises GearboxError, naming ``path``, in place of an OSError."""
+    with _explained(path), replace_file(path) as stream:
+        yield stream
+
+
+@contextmanager
 def new_file(path: Path) -> Iterator[BinaryIO]:
     """Stream into a new file that appears at ``path`` when the block ends; an existing one is never touched.
 

@@ -19,7 +19,7 @@ from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.signals import Chunk
 from gear_dynamics_ros.viewer import Viewer, open_viewer
 from gear_dynamics_ros.viewer.decimation import extreme_indices
-from gear_dynamics_ros.viewer.stream import contiguous
+from gear_dynamics_ros.viewer.stream import contiguous_blocks
 
 rerun = pytest.importorskip("rerun", reason="Rerun is optional at run time")
 
@@ -200,6 +200,6 @@ def test_decimation_of_little_and_of_constants() -> None:
 
 
 def test_a_dropped_chunk_leaves_a_gap(chunks: list[Chunk]) -> None:
-    runs = contiguous([*chunks[:3], *chunks[5:7]])
+    runs = contiguous_blocks([*chunks[:3], *chunks[5:7]])
     assert [len(run) for run in runs] == [3 * len(chunks[0]), 2 * len(chunks[0])]
     np.testing.assert_array_equal(runs[1][0], chunks[5].samples[0])

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 from gear_dynamics_ros.analysis import ledger, summary
 from gear_dynamics_ros.analysis.statistics import Envelope, Statistics, derived_quantities
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.files import replace_file, replace_text
+from gear_dynamics_ros.files import output_file
 from gear_dynamics_ros.recording import Event, Recording
 from gear_dynamics_ros.reporting.windows import change_times, choose_window, whole_span
 from gear_dynamics_ros.samples import Samples
@@ -54,7 +54,7 @@ def analyze_recording(
 def write_numbers(analysis: RecordingAnalysis, folder: Path) -> list[Path]:
     """Write SUMMARY_FILE, and IMPACTS_FILE if energies were recorded, into ``folder``; returns their paths.
 
-    Each file appears whole or not at all. Raises OSError if one can't be written, GearboxError if the
+    Each file appears whole or not at all. Raises GearboxError if one can't be written or the
     recording is damaged.
     """
     written = [folder / SUMMARY_FILE]
@@ -64,7 +64,8 @@ def write_numbers(analysis: RecordingAnalysis, folder: Path) -> list[Path]:
     if found["energy"] is not None:
         written.append(folder / IMPACTS_FILE)
         found["impacts"] = _write_impacts(analysis.recording, written[-1])
-    replace_text(written[0], json.dumps(found, indent=2, allow_nan=False) + "\n")
+    with output_file(written[0]) as stream:
+        stream.write(f"{json.dumps(found, indent=2, allow_nan=False)}\n".encode())
     return written
 
 
@@ -74,7 +75,7 @@ def write_figures(
     """Write the figures whose channels were recorded as PNG into ``folder``; returns their paths.
 
     Each file appears whole or not at all. ``progress`` is called with the number of figures drawn and that of
-    all. Raises OSError if one can't be written.
+    all. Raises GearboxError if one can't be written.
     """
     from gear_dynamics_ros.analysis import figures
 
@@ -84,7 +85,7 @@ def write_figures(
     written = []
     for count, (name, draw) in enumerate(drawings.items(), start=1):
         written.append(folder / f"{name}.png")
-        with replace_file(written[-1]) as stream:
+        with output_file(written[-1]) as stream:
             figures.write_png(draw(), stream)
         progress(count, len(drawings))
     return written
@@ -139,7 +140,7 @@ def _energy_balance(recording: Recording) -> dict[str, Any] | None:
 def _write_impacts(recording: Recording, path: Path) -> dict[str, Any]:
     """Write the list of impacts to ``path``; returns the totals by bearing."""
     totals = ledger.ImpactTotals(recording.parameters.bearings.minimum_impact_speed)
-    with replace_file(path) as stream:
+    with output_file(path) as stream:
         stream.write(f"{ledger.CSV_HEADER}\n".encode())
         for _, rows in recording.rows("impacts"):
             totals.add(rows)
