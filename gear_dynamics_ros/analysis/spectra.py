@@ -6,7 +6,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal.windows import general_cosine
 
 # Flat-top window HFT95 (G. Heinzel, A. Rüdiger, R. Schilling, "Spectrum and spectral density estimation by
 # the DFT", 2002), of mean 1: the amplitude of a line between two bins is within 5e-4, the sidelobes are 95 dB
@@ -40,6 +39,9 @@ def amplitude_spectrum(values: NDArray[np.float64], interval: float) -> Spectrum
 
     Raises ValueError for fewer than MIN_SAMPLES values.
     """
+    # scipy.signal takes a second to import, which only those who need a spectrum should wait for.
+    from scipy.signal.windows import general_cosine
+
     count = len(values)
     if count < MIN_SAMPLES:
         raise ValueError(f"{count} samples are too few for a spectrum: give at least {MIN_SAMPLES}")
