@@ -25,9 +25,9 @@ from gear_dynamics_ros import palette
 from gear_dynamics_ros.cli.common import FAILURE, guarded
 from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.messages import deserialize
-from gear_dynamics_ros.origin import processor
+from gear_dynamics_ros.messages.cdr import deserialize
 from gear_dynamics_ros.parameters import load
+from gear_dynamics_ros.simulation.provenance import processor
 from gear_dynamics_ros.topics import TOPICS
 
 DURATION = 600.0  # s of wall time, as are the next

@@ -24,8 +24,8 @@ from measurements import PUBLISHED  # noqa: E402
 from referee import Referee, nested  # noqa: E402
 
 from gear_dynamics_ros import palette  # noqa: E402
-from gear_dynamics_ros.engine import Engine  # noqa: E402
 from gear_dynamics_ros.parameters import Parameters  # noqa: E402
+from gear_dynamics_ros.simulation.engine import Engine  # noqa: E402
 
 MODELS = ("traditional", "compared", "improved")
 SWITCHES: dict[str, dict[str, Any]] = {"refined": {}, "published": PUBLISHED}

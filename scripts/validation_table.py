@@ -32,8 +32,8 @@ def print_agreement() -> None:
     from referee import CHANNELS, Referee, nested
     from test_against_referee import ROUGH, RUNS, SAMPLES, disagreement
 
-    from gear_dynamics_ros.engine import Engine
     from gear_dynamics_ros.parameters import Parameters
+    from gear_dynamics_ros.simulation.engine import Engine
 
     steps = (1e-6, 0.5e-6, 0.25e-6, 0.125e-6)
     columns = " | ".join(f"{step * 1e6:g} us, nm" for step in steps)

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.engine import Engine
-from gear_dynamics_ros.messages import Encoder
+from gear_dynamics_ros.chunk import Commands
+from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.recording.writer import Recorder
-from gear_dynamics_ros.recordings import RecorderSink
-from gear_dynamics_ros.run import Run
-from gear_dynamics_ros.signals import Commands
+from gear_dynamics_ros.recording.recorder import Recorder
+from gear_dynamics_ros.recording.sink import RecorderSink
+from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.run import Run
 
 Act = Callable[[Run, int], Commands | None]
 

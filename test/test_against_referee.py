@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from referee import CHANNELS, Referee, clearest, nested
 from scipy.optimize import newton
 
-from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.channels import CHANNEL_NAMES
 from gear_dynamics_ros.parameters import Parameters, load
-from gear_dynamics_ros.signals import CHANNEL_NAMES
+from gear_dynamics_ros.simulation.engine import Engine
 
 CASES = Path(__file__).parent / "cases"
 SAMPLES = 101  # the first millisecond

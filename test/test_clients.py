@@ -20,7 +20,8 @@ from mcap_ros2.decoder import DecoderFactory
 from recordings_made import Made, full_name, leaves, record_everything, sequences
 from rosbags.highlevel import AnyReader
 
-from gear_dynamics_ros.messages import Record, deserialize
+from gear_dynamics_ros.messages.cdr import deserialize
+from gear_dynamics_ros.messages.encoder import Record
 from gear_dynamics_ros.topics import TOPICS, resolve
 
 

@@ -22,16 +22,16 @@ from test_export import record
 
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.analysis.comparison import ChannelDifference, Comparison
+from gear_dynamics_ros.channels import CHANNEL_NAMES
+from gear_dynamics_ros.chunk import Commands, Samples
 from gear_dynamics_ros.cli.replay import replay_main
-from gear_dynamics_ros.engine import Engine
-from gear_dynamics_ros.messages import Encoder
+from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters, updated
-from gear_dynamics_ros.recording.pairing import BY_START, BY_TIME, pair, side_by_side
-from gear_dynamics_ros.recording.writer import Recorder
-from gear_dynamics_ros.recordings import RecorderSink
-from gear_dynamics_ros.run import Run
-from gear_dynamics_ros.samples import Samples
-from gear_dynamics_ros.signals import CHANNEL_NAMES, Commands
+from gear_dynamics_ros.recording.recorder import Recorder
+from gear_dynamics_ros.recording.sink import RecorderSink
+from gear_dynamics_ros.replay.pairing import BY_START, BY_TIME, pair, side_by_side
+from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.run import Run
 
 NAMES = ("dte", "mesh_phase", "load_torque")
 SHORT = {"solver.chunk": 3e-4}  # 30 samples

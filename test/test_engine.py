@@ -16,11 +16,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.channels import CHANNELS
+from gear_dynamics_ros.chunk import Commands, Status
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics import kernel, lanes
-from gear_dynamics_ros.signals import CHANNELS, Commands, Status
+from gear_dynamics_ros.simulation.engine import Engine
 
 SAMPLES = 600
 
@@ -231,7 +232,8 @@ def test_centres_pressed_together_end_the_run() -> None:
 
 def test_engine_needs_neither_ros_nor_rerun_nor_matplotlib() -> None:
     blocked = "import sys; sys.modules.update(dict.fromkeys(['rclpy', 'rerun', 'matplotlib']));"
-    code = f"{blocked} import gear_dynamics_ros.engine, gear_dynamics_ros.recording, gear_dynamics_ros.replay"
+    names = ("simulation.engine", "recording", "replay.verify")
+    code = blocked + "".join(f" import gear_dynamics_ros.{name};" for name in names)
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
@@ -286,7 +288,7 @@ def test_an_impact_list_that_is_full_ends_no_run(
     rattling: Parameters, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = Engine(rattling).advance(3000)
-    monkeypatch.setattr("gear_dynamics_ros.engine.IMPACTS_A_CALL", 1)
+    monkeypatch.setattr("gear_dynamics_ros.simulation.engine.IMPACTS_A_CALL", 1)
     halting = Engine(rattling).advance(3000)
     assert halting.impacts.tobytes() == whole.impacts.tobytes()
     assert halting.samples.tobytes() == whole.samples.tobytes()

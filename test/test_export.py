@@ -19,27 +19,19 @@ from conftest import Process, StartProcess
 from pyarrow import parquet
 
 from gear_dynamics_ros import recording
+from gear_dynamics_ros.channels import CHANNEL_NAMES, CHANNELS, ENERGIES, IMPACTS
+from gear_dynamics_ros.chunk import Chunk, Commands, Counters, Status
 from gear_dynamics_ros.cli.replay import replay_main
-from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.messages import Encoder
+from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters, dump, updated
-from gear_dynamics_ros.recording.export import export
+from gear_dynamics_ros.recording.export.formats import ROW_GROUP
+from gear_dynamics_ros.recording.export.write import export
 from gear_dynamics_ros.recording.reader import BLOCK_SAMPLES
-from gear_dynamics_ros.recording.table_files import ROW_GROUP
-from gear_dynamics_ros.recording.writer import Recorder
-from gear_dynamics_ros.recordings import RecorderSink
-from gear_dynamics_ros.run import Run
-from gear_dynamics_ros.signals import (
-    CHANNEL_NAMES,
-    CHANNELS,
-    ENERGIES,
-    IMPACTS,
-    Chunk,
-    Commands,
-    Counters,
-    Status,
-)
+from gear_dynamics_ros.recording.recorder import Recorder
+from gear_dynamics_ros.recording.sink import RecorderSink
+from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.run import Run
 
 ROWS = 400
 FORMATS = ("parquet", "csv", "npy")

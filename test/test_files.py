@@ -15,7 +15,7 @@ import pytest
 
 from gear_dynamics_ros.cli.simulate import simulate_main
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.files import new_file, new_folder, replace_file, replace_text
+from gear_dynamics_ros.system.files import new_file, new_folder, replace_file, replace_text
 
 NEW: list[Callable[[Path], AbstractContextManager[Any]]] = [new_file, new_folder]
 

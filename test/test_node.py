@@ -32,11 +32,12 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
-from gear_dynamics_ros import recording, replay
+from gear_dynamics_ros import recording
+from gear_dynamics_ros.channels import CHANNEL_NAMES, COLUMN, PACE
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.node_topics import message_type, quality
 from gear_dynamics_ros.parameters import specifications
-from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN, PACE
+from gear_dynamics_ros.replay.verify import verify_recording
+from gear_dynamics_ros.ros.node_topics import message_type, quality
 from gear_dynamics_ros.topics import COMMAND_TOPICS, TOPICS, resolve
 
 CHUNK = 200
@@ -622,7 +623,7 @@ def test_a_ring_is_written_when_asked_for_and_when_the_run_ends_by_a_fault(ros_d
     for name in ("bag", "bag_2", "bag_3", "bag_4"):
         found = recording.open(tmp_path / name)
         assert found.complete
-        assert replay.verify(found).difference is None
+        assert verify_recording(found).difference is None
     assert "over-speed" in found.events[-1].message
     assert 0.2 <= found.duration_ns / 1e9 <= 0.23
     assert len(recording.open(tmp_path / "bag_3").parts) >= 2

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from gear_dynamics_ros.pacing import Pacer
 from gear_dynamics_ros.parameters import Pacing
+from gear_dynamics_ros.realtime.pacing import Pacer
 
 CHUNK = 2_000_000
 

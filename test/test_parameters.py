@@ -15,6 +15,7 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from gear_dynamics_ros.channels import COLUMN
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import (
     Gear,
@@ -28,8 +29,12 @@ from gear_dynamics_ros.parameters import (
     require_changeable,
     specifications,
 )
-from gear_dynamics_ros.ros_yaml import SMALLEST_NORMAL, parse_yaml, resolve, scalar_text
-from gear_dynamics_ros.signals import COLUMN
+from gear_dynamics_ros.parameters.rcl_yaml import (
+    SMALLEST_NORMAL,
+    parse_yaml,
+    resolve,
+    scalar_text,
+)
 
 ROOT = Path(__file__).resolve().parent.parent
 DOMAIN_ID = 91

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from recordings_to_play import record
 
-from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.harness import recorded
 from gear_dynamics_ros.harness.recorded import ChangeAction, ResetAction
 from gear_dynamics_ros.parameters import Parameters, updated
-from gear_dynamics_ros.signals import Commands
+from gear_dynamics_ros.simulation.engine import Engine
 
 PARAMETERS = updated(Parameters(), {"operation.speed": 400.0, "operation.control": "torque"})
 CHANGED = {"oil.viscosity": 0.05, "operation.drive_torque": 25.0}

@@ -22,10 +22,10 @@ from std_msgs.msg import Float64, String
 from std_srvs.srv import SetBool, Trigger
 
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.messages import applied_commands
-from gear_dynamics_ros.node_topics import quality
+from gear_dynamics_ros.chunk import Commands
+from gear_dynamics_ros.messages.decoder import applied_commands
 from gear_dynamics_ros.parameters import Parameters, updated
-from gear_dynamics_ros.signals import Commands
+from gear_dynamics_ros.ros.node_topics import quality
 from gear_dynamics_ros.topics import TOPICS, resolve
 
 # A viscous load, so that no command makes the speed run away.

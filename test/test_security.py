@@ -17,8 +17,13 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from gear_dynamics_ros.discovery import DECIDING, PROFILES, RANGE, stay_local
 from gear_dynamics_ros.parameters import specifications
+from gear_dynamics_ros.ros.discovery import (
+    DECIDING,
+    PROFILES,
+    RANGE,
+    stay_local,
+)
 from gear_dynamics_ros.topics import TOPICS, resolve
 
 SOURCE = Path(__file__).resolve().parent.parent

@@ -11,11 +11,12 @@ import pytest
 from conftest import StartProcess
 from test_verify import perform
 
-from gear_dynamics_ros import recording, replay
+from gear_dynamics_ros import recording
 from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.cli.simulate import simulate_main
-from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.parameters import Parameters, load, updated
+from gear_dynamics_ros.replay.verify import verify_recording
+from gear_dynamics_ros.simulation.engine import Engine
 
 CONFIG = Path(__file__).parent.parent / "config"
 
@@ -79,7 +80,7 @@ def test_a_trip_ends_with_the_reason_and_a_complete_recording(
     opened = recording.open(path)
     assert opened.complete
     assert opened.events[-1].kind == "end" and "over-speed" in opened.events[-1].message
-    assert replay.verify(opened).difference is None
+    assert verify_recording(opened).difference is None
 
 
 @pytest.mark.parametrize(
@@ -132,4 +133,4 @@ def test_a_signal_leaves_a_complete_recording_even_if_repeated(
     assert "interrupted by SIG" in running.stderr and "Traceback" not in running.stderr
     bag = recording.open(path)
     assert bag.complete and bag.events[-1].message.startswith("SIG")
-    assert replay.verify(bag).difference is None
+    assert verify_recording(bag).difference is None

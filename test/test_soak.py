@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gear_dynamics_ros.messages import serialize, waveform_message
-from gear_dynamics_ros.signals import CHANNEL_NAMES
+from gear_dynamics_ros.channels import CHANNEL_NAMES
+from gear_dynamics_ros.messages.cdr import serialize
+from gear_dynamics_ros.messages.encoder import waveform_message
 from gear_dynamics_ros.topics import ARRAY
 
 SOAK = Path(__file__).resolve().parent.parent / "benchmarks" / "soak.py"

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from measurements import mean_magnitude, parameters
 
-from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.physics.surface import fractal_surface
+from gear_dynamics_ros.simulation.engine import Engine
 
 
 @settings(max_examples=25, deadline=None)

@@ -19,13 +19,14 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from urdf_parser_py.urdf import URDF
 
-from gear_dynamics_ros.cli.urdf import urdf_main
-from gear_dynamics_ros.engine import Engine
-from gear_dynamics_ros.messages import Encoder, deserialize
-from gear_dynamics_ros.node_topics import quality
+from gear_dynamics_ros.messages.cdr import deserialize
+from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics.derived import base_radii
+from gear_dynamics_ros.ros.node_topics import quality
+from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.topics import JOINT_STATE, TOPICS, WRENCH, resolve
+from gear_dynamics_ros.urdf.__main__ import urdf_main
 from gear_dynamics_ros.urdf.description import robot_description
 
 SOURCE = Path(__file__).resolve().parent.parent

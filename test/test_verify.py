@@ -19,17 +19,20 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from gear_dynamics_ros import recording, replay
+from gear_dynamics_ros import recording
+from gear_dynamics_ros.channels import CHANNEL_NAMES, COLUMN, PACE
+from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.cli.replay import replay_main
-from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.messages import Encoder, message_class, serialize
+from gear_dynamics_ros.messages.cdr import message_class, serialize
+from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters, updated
+from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.recording.ring import Ring
-from gear_dynamics_ros.recording.writer import Recorder
-from gear_dynamics_ros.recordings import RecorderSink
-from gear_dynamics_ros.run import Run
-from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN, PACE, Commands
+from gear_dynamics_ros.recording.sink import RecorderSink
+from gear_dynamics_ros.replay.verify import origins, verify_recording
+from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.topics import FLOAT64, FLOAT_COMMANDS, TOPICS, resolve
 
 # What may be done between two chunks; "restore" takes up the state that "save" kept.
@@ -125,14 +128,14 @@ def test_whatever_is_done_comes_out_again(
     with tempfile.TemporaryDirectory() as folder:
         path = perform(Path(folder) / "bag", deeds, parameters)
         whole = recording.open(path)
-        result = replay.verify(whole)
+        result = verify_recording(whole)
         assert (result.difference, result.samples) == (None, CHUNK * chunks)
         assert result.states >= max(len(whole.parts), chunks * 3e-4 / checkpoints - 1 if checkpoints else 0)
         assert whole.parameters == parameters
         for part in path.glob("*.mcap"):
-            assert replay.verify(recording.open(part)).difference is None
+            assert verify_recording(recording.open(part)).difference is None
         middle = chunks * 3e-4 / 2
-        result = replay.verify(whole, middle)
+        result = verify_recording(whole, middle)
         assert result.difference is None
         assert CHUNK * chunks / 2 - 1 <= result.samples <= CHUNK * chunks
 
@@ -163,7 +166,7 @@ def test_what_a_ring_holds_comes_out_again(deeds: list[Any], held: float) -> Non
     run.step()
     with tempfile.TemporaryDirectory() as folder:
         found = recording.open(ring.cut().write(Path(folder) / "bag", 0, "/gearbox"))
-        result = replay.verify(found)
+        result = verify_recording(found)
         assert found.complete and result.difference is None and result.states >= 1
         wanted = min(round(held / 1e-5), engine.sample)
         assert wanted <= result.samples <= wanted * 9 / 8 + CHUNK
@@ -184,7 +187,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_recording_that_is_altered_below_verifies_as_it_is(bag: Path, tmp_path: Path) -> None:
     for path in (bag, alter(bag, tmp_path / "copy")):
-        result = replay.verify(recording.open(path))
+        result = verify_recording(recording.open(path))
         assert result.difference is None
         assert result.states == 8
 
@@ -226,7 +229,9 @@ def nudge(name: str) -> Any:
 def test_an_altered_message_is_found(
     bag: Path, tmp_path: Path, topic: str, number: int, change: Any, what: str, sample: int
 ) -> None:
-    found = replay.verify(recording.open(alter(bag, tmp_path / "x", message=on_topic(topic, number, change))))
+    found = verify_recording(
+        recording.open(alter(bag, tmp_path / "x", message=on_topic(topic, number, change)))
+    )
     assert found.difference is not None
     assert what in found.difference.what and found.difference.sample == sample
     assert found.difference.recorded != found.difference.simulated
@@ -237,7 +242,7 @@ def test_a_deed_left_out_is_found(bag: Path, tmp_path: Path, kind: str) -> None:
     def drop(topic: str, data: bytes) -> bytes | None:
         return None if topic == "event" and f'"event": "{kind}"'.encode() in data else data
 
-    assert replay.verify(recording.open(alter(bag, tmp_path / "x", message=drop))).difference is not None
+    assert verify_recording(recording.open(alter(bag, tmp_path / "x", message=drop))).difference is not None
 
 
 @pytest.mark.parametrize("topic", ["energy", "dte", "waveform"])
@@ -248,7 +253,7 @@ def test_a_message_left_out_is_found(bag: Path, tmp_path: Path, topic: str) -> N
         seen.extend([name] if name == topic else [])
         return None if name == topic and len(seen) == 6 else data
 
-    difference = replay.verify(recording.open(alter(bag, tmp_path / "x", message=drop))).difference
+    difference = verify_recording(recording.open(alter(bag, tmp_path / "x", message=drop))).difference
     assert difference is not None and difference.sample == 150
 
 
@@ -278,7 +283,7 @@ def entry(name: str, index: int | None = None) -> Any:
 )
 def test_an_altered_state_is_found(bag: Path, tmp_path: Path, name: str, change: Any) -> None:
     altered = alter(bag, tmp_path / "x", attachment=in_json(name, change))
-    assert replay.verify(recording.open(altered)).difference is not None
+    assert verify_recording(recording.open(altered)).difference is not None
 
 
 def overtaken(tmp_path: Path) -> Path:
@@ -323,7 +328,7 @@ def test_what_no_sample_depends_on_is_guarded_too(
     tmp_path: Path, kind: str, wanted: str, old: bytes, new: bytes | None
 ) -> None:
     found = recording.open(alter(overtaken(tmp_path), tmp_path / "x", **{kind: replaced(wanted, old, new)}))
-    difference = replay.verify(found).difference
+    difference = verify_recording(found).difference
     assert difference is not None and "messages since then" in difference.what
     assert len(str(difference.recorded)) == len(str(difference.simulated)) == 64
 
@@ -423,7 +428,7 @@ def test_a_zero_is_a_zero_with_either_sign(tmp_path: Path) -> None:
     zeros = [Commands(30.0, load, 1700.0) for load in (0.0, -0.0, 0.0, -0.0)]
     deeds = [deed for commands in zeros for deed in (commands, "step", "step")]
     parameters = Parameters.from_flat({**SHORT, "operation.load_torque": -0.0, "operation.speed": 1700.0})
-    assert replay.verify(recording.open(perform(tmp_path / "bag", deeds, parameters))).difference is None
+    assert verify_recording(recording.open(perform(tmp_path / "bag", deeds, parameters))).difference is None
 
 
 def test_from_behind_a_lost_chunk_goes_on(bag: Path, tmp_path: Path) -> None:
@@ -440,26 +445,26 @@ def test_from_behind_a_lost_chunk_goes_on(bag: Path, tmp_path: Path) -> None:
     shutil.copy(alter(tmp_path / "one", tmp_path / "x", message=drop) / "bag_0.mcap", copy)
     found = recording.open(copy)
     assert is_refused(found)
-    assert replay.verify(found, 2e-3).difference is None
+    assert verify_recording(found, 2e-3).difference is None
 
 
 def test_a_recording_without_a_message_verifies_unless_it_broke_off(tmp_path: Path) -> None:
     parameters = Parameters.from_flat(SHORT)
     engine = Engine(parameters)
     RecorderSink(Recorder(tmp_path / "bag", parameters, engine.checkpoint(), 0), engine).close()
-    result = replay.verify(recording.open(tmp_path / "bag"))
+    result = verify_recording(recording.open(tmp_path / "bag"))
     assert (result.difference, result.samples, result.states) == (None, 0, 1)
     content = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
     for size in (10_000, 14_000):  # within the channels
         (tmp_path / "cut.mcap").write_bytes(content[:size])
         with pytest.raises(GearboxError, match="broke off before its first message"):
-            replay.verify(recording.open(tmp_path / "cut.mcap"))
+            verify_recording(recording.open(tmp_path / "cut.mcap"))
 
 
 def test_a_part_alone_verifies_to_its_end(tmp_path: Path) -> None:
     bag = overtaken(tmp_path)
     for path in bag.glob("*.mcap"):
-        result = replay.verify(recording.open(path))
+        result = verify_recording(recording.open(path))
         assert result.difference is None and result.states == 1
 
 
@@ -478,14 +483,14 @@ def test_an_altered_parameter_is_found(bag: Path, tmp_path: Path, old: bytes, ne
 
     altered = alter(bag, tmp_path / "x", attachment=change)
     assert recording.open(altered).parameters != recording.open(bag).parameters
-    assert replay.verify(recording.open(altered)).difference is not None
+    assert verify_recording(recording.open(altered)).difference is not None
 
 
 def test_an_altered_change_of_a_parameter_is_found(bag: Path, tmp_path: Path) -> None:
     def change(topic: str, data: bytes) -> bytes:
         return data.replace(b": 0.03}", b": 0.04}") if topic == "event" else data
 
-    assert replay.verify(recording.open(alter(bag, tmp_path / "x", message=change))).difference is not None
+    assert verify_recording(recording.open(alter(bag, tmp_path / "x", message=change))).difference is not None
 
 
 def test_an_event_that_cannot_be_is_told(
@@ -508,17 +513,17 @@ def test_an_event_that_cannot_be_is_told(
 def test_any_choice_of_channels_comes_out_again(tmp_path: Path, channels: tuple[str, ...]) -> None:
     parameters = Parameters.from_flat({**SHORT, "waveform_channels": channels})
     deeds = ["step", Commands(30.0, 55.0, 1700.0), "step", "reset", "step"]
-    result = replay.verify(recording.open(perform(tmp_path / "bag", deeds, parameters)))
+    result = verify_recording(recording.open(perform(tmp_path / "bag", deeds, parameters)))
     assert (result.difference, result.samples) == (None, 4 * CHUNK)
 
 
 def test_from_begins_at_the_last_state_before(bag: Path) -> None:
     read = recording.open(bag)
-    assert replay.verify(read, 0.0).samples == 16 * CHUNK
+    assert verify_recording(read, 0.0).samples == 16 * CHUNK
     # the part begins at 180, checkpoints lie 90 samples apart
-    assert replay.verify(read, 2.8e-3).samples == (16 * CHUNK) - 270
+    assert verify_recording(read, 2.8e-3).samples == (16 * CHUNK) - 270
     with pytest.raises(UsageError, match=r"lies outside the recording: it holds 0 s to 0\.0048 s"):
-        replay.verify(read, 1.0)
+        verify_recording(read, 1.0)
 
 
 def test_a_difference_is_told_with_both_values_and_what_else_differs(
@@ -539,9 +544,9 @@ def test_a_difference_is_told_with_both_values_and_what_else_differs(
 
 def test_another_processor_or_kernel_is_named(bag: Path) -> None:
     read = recording.open(bag)
-    assert replay.origins(read) == []
+    assert origins(read) == []
     read.run = read.run._replace(processor="an abacus", kernel_hash="0" * 64)
-    kernel, processor = replay.origins(read)
+    kernel, processor = origins(read)
     assert kernel.startswith("kernel hash: recorded by 000")
     assert processor.startswith("processor: recorded by an abacus, this is ")
 
@@ -587,7 +592,7 @@ def test_what_a_part_should_begin_with_is_missed(bag: Path, tmp_path: Path, topi
     (tmp_path / "one").mkdir()
     shutil.copy(bag / "bag_1.mcap", tmp_path / "one")
     shutil.copy(alter(tmp_path / "one", tmp_path / "x", message=drop) / "bag_1.mcap", copy)
-    difference = replay.verify(recording.open(copy)).difference
+    difference = verify_recording(recording.open(copy)).difference
     assert difference is not None and difference.what == topic
 
 
@@ -596,7 +601,7 @@ def test_a_file_that_is_missing_is_told(bag: Path, tmp_path: Path, number: int) 
     copy = shutil.copytree(bag, tmp_path / "bag")
     (copy / f"bag_{number}.mcap").unlink()
     with pytest.raises(GearboxError, match=f"lists bag_{number}.mcap, which is missing"):
-        replay.verify(recording.open(copy))
+        verify_recording(recording.open(copy))
 
 
 def test_a_topic_taken_out_with_its_channel_is_missed(
@@ -609,7 +614,7 @@ def test_a_topic_taken_out_with_its_channel_is_missed(
 
     monkeypatch.setattr(altering.Writer, "register_channel", without_dte)
     drop = alter(bag, tmp_path / "x", message=lambda topic, data: None if topic == "dte" else data)
-    difference = replay.verify(recording.open(drop)).difference
+    difference = verify_recording(recording.open(drop)).difference
     assert difference is not None and difference.what == "dte"
 
 
@@ -625,7 +630,7 @@ def test_a_message_that_stands_twice_is_found(
 
     monkeypatch.setattr(altering.Writer, "add_message", twice)
     with pytest.raises(GearboxError, match="two messages of one chunk"):
-        replay.verify(recording.open(alter(bag, tmp_path / "x")))
+        verify_recording(recording.open(alter(bag, tmp_path / "x")))
 
 
 @pytest.mark.parametrize("name", ["drive_torque", "load_torque", "speed"])
@@ -634,7 +639,7 @@ def test_commands_of_the_start_told_otherwise_are_found(tmp_path: Path, name: st
         tmp_path / "bag", ["step"], Parameters.from_flat({**SHORT, "operation.control": "torque"})
     )
     change = in_json("start.json", lambda content: bump_entry(content["commands"], name))
-    difference = replay.verify(recording.open(alter(whole, tmp_path / "x", attachment=change))).difference
+    difference = verify_recording(recording.open(alter(whole, tmp_path / "x", attachment=change))).difference
     assert difference is not None and name in difference.what
 
 
@@ -644,7 +649,7 @@ def bump_entry(values: dict[str, float], name: str) -> None:
 
 def is_refused(altered: recording.Recording) -> bool:
     try:
-        return replay.verify(altered).difference is not None
+        return verify_recording(altered).difference is not None
     except GearboxError:
         return True
 

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from conftest import Rerun
 
-from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.chunk import Chunk
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.signals import Chunk
+from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.viewer import Viewer, open_viewer
 from gear_dynamics_ros.viewer.decimation import extreme_indices
 from gear_dynamics_ros.viewer.stream import contiguous_blocks

@@ -17,8 +17,9 @@ from gear_dynamics_ros.analysis.comparison import ChannelDifference
 from gear_dynamics_ros.analysis.spectra import MIN_SAMPLES, amplitude_spectrum
 from gear_dynamics_ros.analysis.statistics import Envelope, bearing_force_name
 from gear_dynamics_ros.analysis.summary import QUANTITY_UNITS, observed_mesh_frequency, poincare_section
+from gear_dynamics_ros.channels import GEARS, contact_channels, film_channels
+from gear_dynamics_ros.chunk import Samples
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.samples import GEARS, Samples, contact_channels, film_channels
 
 MICRO: Final = 1e6
 KILO: Final = 1e-3

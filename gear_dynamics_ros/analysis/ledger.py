@@ -8,9 +8,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from gear_dynamics_ros.channels import ENERGIES, GEARS, IMPACTS
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.samples import GEARS
-from gear_dynamics_ros.signals import ENERGIES, IMPACTS
 
 ENERGY_NAMES: Final = tuple(energy.name for energy in ENERGIES)
 STORED: Final = ("kinetic_energy", "elastic_energy")

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.analysis.sections import FLANKS, MeshingShares, flank_counts
-from gear_dynamics_ros.samples import GEARS, Samples
+from gear_dynamics_ros.channels import GEARS
+from gear_dynamics_ros.chunk import Samples
 
 
 class QuantityTotals(NamedTuple):

@@ -10,10 +10,10 @@ import numpy as np
 from gear_dynamics_ros.analysis.sections import mesh_frequency, poincare_points
 from gear_dynamics_ros.analysis.spectra import MIN_SAMPLES, amplitude_spectrum, strongest_lines
 from gear_dynamics_ros.analysis.statistics import Statistics, bearing_force_name, derived_quantities
+from gear_dynamics_ros.channels import CHANNELS, ENERGIES, GEARS
+from gear_dynamics_ros.chunk import Samples
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics.derived import base_radii
-from gear_dynamics_ros.samples import GEARS, Samples
-from gear_dynamics_ros.signals import CHANNELS, ENERGIES
 
 WINDOW_LENGTH: Final = 0.2  # s
 SETTLING_TIME: Final = 0.1  # s after a change that do not count as steady

@@ -46,7 +46,7 @@ def _parser() -> argparse.ArgumentParser:
 def _drive(arguments: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     profile = load_profile(arguments.profile)
     with needing_ros():
-        from gear_dynamics_ros.harness_client import play
+        from gear_dynamics_ros.ros.profile_client import play
     node = full_name(arguments.node)
     report = None if arguments.junit is None else JunitReport(arguments.junit, arguments.profile.stem)
     if report is not None:

@@ -11,7 +11,7 @@ from gear_dynamics_ros.cli.common import FAILURE
 def gearbox_main(argv: Sequence[str] | None = None) -> int:
     """Run the node until it is stopped; returns the exit code."""
     try:
-        from gear_dynamics_ros.node_process import main as run
+        from gear_dynamics_ros.ros.node_process import main as run
     except ModuleNotFoundError as error:
         if error.name != "rclpy":
             raise

@@ -12,7 +12,7 @@ from gear_dynamics_ros.analysis.comparison import ANGLES
 from gear_dynamics_ros.cli.common import FAILURE
 from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.recording.pairing import BY_START, BY_TIME, pair
+from gear_dynamics_ros.replay.pairing import BY_START, BY_TIME, pair
 
 
 def add_diff(verbs: Any) -> None:
@@ -45,9 +45,9 @@ def add_diff(verbs: Any) -> None:
 
 
 def _diff(arguments: argparse.Namespace) -> int:
-    from gear_dynamics_ros.divergence import compare_recordings
-    from gear_dynamics_ros.divergence_files import write_difference
-    from gear_dynamics_ros.divergence_text import difference_lines
+    from gear_dynamics_ros.replay.diff import compare_recordings
+    from gear_dynamics_ros.replay.diff_files import write_difference
+    from gear_dynamics_ros.replay.diff_text import difference_lines
 
     output = arguments.output
     if output is not None and output.exists() and not output.is_dir():

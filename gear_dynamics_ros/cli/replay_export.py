@@ -9,9 +9,9 @@ from typing import Any
 
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.cli.progress import Progress
-from gear_dynamics_ros.recording import tables
-from gear_dynamics_ros.recording.export import export
-from gear_dynamics_ros.recording.table_files import FORMATS
+from gear_dynamics_ros.recording.export import tables
+from gear_dynamics_ros.recording.export.formats import FORMATS
+from gear_dynamics_ros.recording.export.write import export
 
 
 def add_export(verbs: Any) -> None:

@@ -73,7 +73,7 @@ def _publish(arguments: argparse.Namespace) -> int:
 
 def _play_at_own_pace(bag: recording.Recording, arguments: argparse.Namespace) -> int:
     with needing_ros():
-        from gear_dynamics_ros.harness_client import play
+        from gear_dynamics_ros.ros.profile_client import play
     node = full_name(arguments.node)
     profile = replace(recorded.profile_of(bag), reset=arguments.reset)
     _print_skipped(recorded.skipped_by_profile(bag), "; with --lockstep resets and changes are")
@@ -99,7 +99,7 @@ def _play_at_own_pace(bag: recording.Recording, arguments: argparse.Namespace) -
 
 def _play_in_lockstep(bag: recording.Recording, arguments: argparse.Namespace) -> int:
     with needing_ros():
-        from gear_dynamics_ros.lockstep_client import play
+        from gear_dynamics_ros.ros.lockstep_client import play
     node = full_name(arguments.node)
     script = recorded.script_of(bag)
     if arguments.reset:

@@ -32,14 +32,17 @@ def add_verify(verbs: Any) -> None:
 
 
 def _verify(arguments: argparse.Namespace) -> int:
-    from gear_dynamics_ros import replay  # loads the kernel, which other verbs need not wait for
+    from gear_dynamics_ros.replay.verify import (  # loads the kernel, which other verbs need not wait for
+        origins,
+        verify_recording,
+    )
 
     bag = recording.open(arguments.bag)
     with Progress("verified", bag.end_sample - bag.first_sample) as progress:
-        result = replay.verify(bag, arguments.start, progress)
+        result = verify_recording(bag, arguments.start, progress)
     if result.difference is not None:
         print(f"replay: error: {bag.path}: {result.difference}", file=sys.stderr)
-        for line in replay.origins(bag):
+        for line in origins(bag):
             print(f"replay: {line}", file=sys.stderr)
         return FAILURE
     print(

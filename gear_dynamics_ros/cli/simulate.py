@@ -9,17 +9,17 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from gear_dynamics_ros import checkpoints
 from gear_dynamics_ros.cli.common import SIGNALLED, add_settings, guarded
 from gear_dynamics_ros.cli.progress import Progress
-from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.live import warm_up
-from gear_dynamics_ros.offline import engine_from_checkpoint, simulate_to_recording
 from gear_dynamics_ros.parameters import Parameters, load, read_settings, updated
 from gear_dynamics_ros.physics.advice import parameter_warnings
-from gear_dynamics_ros.process import noted_signals
-from gear_dynamics_ros.resources import share_file
+from gear_dynamics_ros.realtime.engine_thread import warm_up
+from gear_dynamics_ros.recording.offline import engine_from_checkpoint, simulate_to_recording
+from gear_dynamics_ros.simulation import checkpoints
+from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.system.processes import noted_signals
+from gear_dynamics_ros.system.share import share_file
 
 
 def simulate_main(argv: Sequence[str] | None = None) -> int:

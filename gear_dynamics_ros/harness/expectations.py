@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeAlias
 
+from gear_dynamics_ros.channels import CHANNELS, ENERGIES
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.harness import fields
 from gear_dynamics_ros.harness.measures import (
@@ -19,7 +20,6 @@ from gear_dynamics_ros.harness.measures import (
     SettlingTime,
     Statistic,
 )
-from gear_dynamics_ros.signals import CHANNELS, ENERGIES
 
 CHANNEL_UNITS: Mapping[str, str] = {channel.name: channel.unit for channel in (*CHANNELS, *ENERGIES)}
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.files import replace_file
 from gear_dynamics_ros.harness.expectations import Expectation
 from gear_dynamics_ros.harness.results import Result, unreached
+from gear_dynamics_ros.system.files import replace_file
 
 PLAYED = "played to its end"
 _NOT_XML = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
+from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.harness import fields
 from gear_dynamics_ros.harness.expectations import Expectation, parse_expectations
 from gear_dynamics_ros.harness.tracks import CommandTrack, parse_track
 from gear_dynamics_ros.parameters import Parameters, specifications
-from gear_dynamics_ros.ros_yaml import parse_yaml
-from gear_dynamics_ros.signals import Commands
+from gear_dynamics_ros.parameters.rcl_yaml import parse_yaml
 
 ParameterSetting: TypeAlias = bool | int | float | str | list[float] | list[str]
 

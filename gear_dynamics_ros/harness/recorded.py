@@ -8,11 +8,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
+from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import UsageError
+from gear_dynamics_ros.events import CHANGE, RESET, RESTORE
 from gear_dynamics_ros.harness.profile import Profile
 from gear_dynamics_ros.harness.tracks import CommandTrack, RampPiece
 from gear_dynamics_ros.recording.reader import Event, Recording
-from gear_dynamics_ros.signals import CHANGE, RESET, RESTORE, Commands
 
 # Parameters that are commands too: a recording has their changes among its commands.
 COMMAND_PARAMETERS = frozenset(f"operation.{name}" for name in Commands._fields)

@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 import yaml
 from mcap.records import Channel, Schema
 
-from gear_dynamics_ros.messages import TYPESTORE
+from gear_dynamics_ros.messages.cdr import TYPESTORE
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.topics import TOPICS, Topic, resolve
 

@@ -15,7 +15,7 @@ from mcap.writer import MCAP0_MAGIC
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.layout import RunMetadata
-from gear_dynamics_ros.recording.survey import (
+from gear_dynamics_ros.recording.mcap.survey import (
     Survey,
     first_bytes,
     read_attachment,

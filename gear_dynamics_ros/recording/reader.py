@@ -14,14 +14,15 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from gear_dynamics_ros.channels import IMPACTS
+from gear_dynamics_ros.chunk import Commands, Samples
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.messages import RowReader, applied_commands, deserialize, stamp_ns
+from gear_dynamics_ros.messages.cdr import deserialize, stamp_ns
+from gear_dynamics_ros.messages.decoder import RowReader, applied_commands
 from gear_dynamics_ros.parameters import Parameters, parse
 from gear_dynamics_ros.recording import layout
-from gear_dynamics_ros.recording.history import TOLD, History
+from gear_dynamics_ros.recording.digest import TOLD, History
 from gear_dynamics_ros.recording.parts import PartFile, Stored, open_parts
-from gear_dynamics_ros.samples import Samples
-from gear_dynamics_ros.signals import IMPACTS, Commands
 from gear_dynamics_ros.topics import COMMAND_TOPICS, OF_A_CHUNK, TOPICS, resolve
 
 BLOCK_SAMPLES: Final = 20_000
@@ -33,9 +34,9 @@ class Event(NamedTuple):
 
     sample: int
     time: float  # s, simulated
-    kind: str  # one of those in signals.py
+    kind: str  # one of events.EVENTS
     message: str
-    counters: dict[str, int]  # signals.Counters then; empty in a recording that lacks them
+    counters: dict[str, int]  # chunk.Counters then; empty in a recording that lacks them
     parameters: Mapping[str, Any] = MappingProxyType({})  # by dotted name, that changed
     checkpoint: Mapping[str, Any] = MappingProxyType({})  # of a restore
 
@@ -214,7 +215,7 @@ class Recording:
             yield Samples(first, interval, names, np.concatenate(waiting))
 
     def impacts(self, start: float | None = None, end: float | None = None) -> NDArray[np.float64]:
-        """Bearing contacts that ended at times in [start, end): shape (n, 6), columns signals.IMPACTS."""
+        """Bearing contacts that ended at times in [start, end): shape (n, 6), columns channels.IMPACTS."""
         found = [np.empty((0, len(IMPACTS)))]
         for _, rows in self.rows("impacts"):
             ends = rows[:, 1]

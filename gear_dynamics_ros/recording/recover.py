@@ -21,13 +21,14 @@ from mcap.writer import MCAP0_MAGIC
 
 from gear_dynamics_ros import __version__
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.files import new_folder, replace_text, require_new
-from gear_dynamics_ros.messages import TYPESTORE, RowReader
+from gear_dynamics_ros.messages.cdr import TYPESTORE
+from gear_dynamics_ros.messages.decoder import RowReader
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.layout import Definitions, Part, RunMetadata
-from gear_dynamics_ros.recording.mcap_writer import McapWriter
+from gear_dynamics_ros.recording.mcap.survey import Content, Piece, first_bytes, read_summary, walk
+from gear_dynamics_ros.recording.mcap.writer import McapWriter
 from gear_dynamics_ros.recording.parts import part_files, reading
-from gear_dynamics_ros.recording.survey import Content, Piece, first_bytes, read_summary, walk
+from gear_dynamics_ros.system.files import new_folder, replace_text, require_new
 from gear_dynamics_ros.topics import TOPICS, Topic, resolve
 
 _LIBRARY: Final = f"{layout.RUN_METADATA} {__version__}"
@@ -445,8 +446,6 @@ def _topics(schemas: Mapping[int, Schema], channels: Mapping[int, Channel], node
     """Topics by full name, with the quality of service of this version's, or the usual one."""
     known = {resolve(topic, node): topic for topic in TOPICS.values()}
     return {
-        channel.topic: known.get(
-            channel.topic, Topic(channel.topic, schemas[channel.schema_id].name, True, 10, False, "")
-        )
+        channel.topic: known.get(channel.topic, Topic(channel.topic, schemas[channel.schema_id].name, ""))
         for channel in channels.values()
     }

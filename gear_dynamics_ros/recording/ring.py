@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.chunk import Chunk
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.messages import Record
+from gear_dynamics_ros.messages.encoder import Record
 from gear_dynamics_ros.recording import layout
-from gear_dynamics_ros.recording.writer import Recorder, State
-from gear_dynamics_ros.signals import Chunk
+from gear_dynamics_ros.recording.recorder import Recorder, State
+from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.topics import TOPICS
 
 # The ring forgets a segment at a time: it holds at most an eighth more than it must.

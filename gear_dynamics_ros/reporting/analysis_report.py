@@ -9,12 +9,12 @@ from typing import Any, Final, NamedTuple
 
 from gear_dynamics_ros.analysis import ledger, summary
 from gear_dynamics_ros.analysis.statistics import Envelope, Statistics, derived_quantities
+from gear_dynamics_ros.chunk import Samples
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.files import output_file
+from gear_dynamics_ros.events import RESET, RESTORE
 from gear_dynamics_ros.recording import Event, Recording
 from gear_dynamics_ros.reporting.windows import change_times, choose_window, whole_span
-from gear_dynamics_ros.samples import Samples
-from gear_dynamics_ros.signals import RESET, RESTORE
+from gear_dynamics_ros.system.files import output_file
 
 SUMMARY_FILE: Final = "summary.json"
 IMPACTS_FILE: Final = "impacts.csv"

@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping
 from xml.etree import ElementTree as Xml
 
-from gear_dynamics_ros.messages import bearing_frame
+from gear_dynamics_ros.messages.encoder import bearing_frame
 from gear_dynamics_ros.parameters import NODE, Parameters, specifications
 from gear_dynamics_ros.physics.derived import base_radii
 from gear_dynamics_ros.topics import TOPICS, resolve

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from gear_dynamics_ros.chunk import Chunk
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.signals import Chunk
-from gear_dynamics_ros.threads import name_thread
+from gear_dynamics_ros.system.threads import name_thread
 
 if TYPE_CHECKING:
     import rerun as rr

@@ -1,0 +1,41 @@
+"""What can be set: one tree of parameters for the node and all tools, in SI units. No ROS, no physics."""
+
+from gear_dynamics_ros.parameters.tree import (
+    NODE,
+    Bearing,
+    Gear,
+    Gears,
+    Operation,
+    Pacing,
+    Parameters,
+    Specification,
+    differences,
+    dump,
+    load,
+    parse,
+    read_settings,
+    reference,
+    require_changeable,
+    specifications,
+    updated,
+)
+
+__all__ = [
+    "NODE",
+    "Bearing",
+    "Gear",
+    "Gears",
+    "Operation",
+    "Pacing",
+    "Parameters",
+    "Specification",
+    "differences",
+    "dump",
+    "load",
+    "parse",
+    "read_settings",
+    "reference",
+    "require_changeable",
+    "specifications",
+    "updated",
+]
