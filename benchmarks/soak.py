@@ -26,7 +26,7 @@ from gear_dynamics_ros.cli.common import FAILURE, guarded
 from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.cdr import deserialize
-from gear_dynamics_ros.parameters import load
+from gear_dynamics_ros.parameters import load_parameters
 from gear_dynamics_ros.simulation.provenance import processor
 from gear_dynamics_ros.topics import TOPICS
 
@@ -102,7 +102,7 @@ def soak(duration: float) -> Found:
     """
     if not SHORTEST <= duration < math.inf:
         raise UsageError(f"--duration {duration:g}: it takes at least {SHORTEST:g} s, and an end")
-    parameters = load(PARAMETERS, [])
+    parameters = load_parameters(PARAMETERS, [])
     samples = Samples(parameters.solver.sample_interval_ns)
     looks: list[Look] = []
     commands = 0

@@ -18,7 +18,7 @@ ROOT: Final = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from gear_dynamics_ros import palette  # noqa: E402
-from gear_dynamics_ros.parameters import Bearing, Parameters  # noqa: E402
+from gear_dynamics_ros.parameters import BearingParameters, Parameters  # noqa: E402
 from gear_dynamics_ros.physics import derived  # noqa: E402
 from gear_dynamics_ros.simulation.engine import Engine  # noqa: E402
 
@@ -62,7 +62,7 @@ class Trace(NamedTuple):
         return change / scale
 
 
-def contact_energy(p: Parameters, bearing: Bearing, depth: float) -> float:
+def contact_energy(p: Parameters, bearing: BearingParameters, depth: float) -> float:
     """Elastic energy of a Hertz contact pressed in by ``depth`` m, J."""
     if depth <= 0.0:
         return 0.0

@@ -24,7 +24,7 @@ from gear_dynamics_ros.chunk import Chunk, Commands, Counters, Status
 from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.messages.encoder import Encoder
-from gear_dynamics_ros.parameters import Parameters, dump, updated
+from gear_dynamics_ros.parameters import Parameters, dump_parameters, updated
 from gear_dynamics_ros.recording.export.formats import ROW_GROUP
 from gear_dynamics_ros.recording.export.write import export
 from gear_dynamics_ros.recording.reader import BLOCK_SAMPLES
@@ -185,7 +185,7 @@ def test_parquet_tells_units_and_origin(bag: Path, tmp_path: Path) -> None:
     assert about["version"] == opened.version
     assert about["kernel_hash"] == opened.kernel_hash
     assert about["sample_interval_ns"] == "10000"
-    assert about["parameters"] == dump(Parameters())
+    assert about["parameters"] == dump_parameters(Parameters())
     sizes = [file.metadata.row_group(i).num_rows for i in range(file.metadata.num_row_groups)]
     assert sum(sizes) == 250 * ROWS and len(sizes) > 1
     assert max(sizes) < ROW_GROUP + BLOCK_SAMPLES + ROWS

@@ -14,7 +14,7 @@ from test_verify import perform
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.cli.simulate import simulate_main
-from gear_dynamics_ros.parameters import Parameters, load, updated
+from gear_dynamics_ros.parameters import Parameters, load_parameters, updated
 from gear_dynamics_ros.replay.verify import verify_recording
 from gear_dynamics_ros.simulation.engine import Engine
 
@@ -34,7 +34,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_simulate_records_what_the_engine_gives(bag: Path) -> None:
-    expected = Engine(load(CONFIG / "paper.yaml")).advance(2000)
+    expected = Engine(load_parameters(CONFIG / "paper.yaml")).advance(2000)
     assert recording.open(bag).waveform().tobytes() == expected.samples.tobytes()
 
 

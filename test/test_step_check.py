@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from gear_dynamics_ros.cli.simulate import simulate_main
-from gear_dynamics_ros.parameters import Parameters, load
+from gear_dynamics_ros.parameters import Parameters, load_parameters
 from gear_dynamics_ros.physics import derived, kernel, step_check
 from gear_dynamics_ros.physics.advice import parameter_warnings
 
@@ -31,7 +31,7 @@ def hertz(changes: dict[str, Any]) -> float:
 @pytest.mark.parametrize("config", ["gearbox.yaml", "paper.yaml"])
 @pytest.mark.parametrize("model", ["traditional", "compared", "improved"])
 def test_the_packages_configurations_need_no_warning(config: str, model: str) -> None:
-    assert parameter_warnings(load(CONFIG / config, [f"model={model}"])) == []
+    assert parameter_warnings(load_parameters(CONFIG / config, [f"model={model}"])) == []
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from pathlib import Path
 from gear_dynamics_ros.cli.common import SIGNALLED, add_settings, guarded
 from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.parameters import Parameters, load, read_settings, updated
+from gear_dynamics_ros.parameters import Parameters, load_parameters, read_settings, updated
 from gear_dynamics_ros.physics.advice import parameter_warnings
 from gear_dynamics_ros.realtime.engine_thread import warm_up
 from gear_dynamics_ros.recording.offline import engine_from_checkpoint, simulate_to_recording
@@ -83,7 +83,9 @@ def _simulate(arguments: argparse.Namespace) -> int:
 def _start(arguments: argparse.Namespace) -> tuple[checkpoints.Saved | None, Parameters]:
     """The checkpoint to start from, None for the start state, and the parameters to simulate with."""
     if arguments.from_checkpoint is None:
-        return None, load(arguments.params_file or share_file("config/gearbox.yaml"), arguments.set)
+        return None, load_parameters(
+            arguments.params_file or share_file("config/gearbox.yaml"), arguments.set
+        )
     saved = checkpoints.load(arguments.from_checkpoint)
     parameters = updated(saved.parameters, read_settings(arguments.set))
     checkpoints.require_fitting(saved, parameters)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gear_dynamics_ros.parameters import Bearing, Parameters
+from gear_dynamics_ros.parameters import BearingParameters, Parameters
 from gear_dynamics_ros.physics import derived
 
 # Where RK4 becomes unstable: on an undamped oscillation and on a pure decay.
@@ -193,7 +193,7 @@ def waves_per_turn(parameters: Parameters) -> float:
     return parameters.gears.driving.teeth * shortest
 
 
-def bearing_of(parameters: Parameters, side: str) -> Bearing:
+def bearing_of(parameters: Parameters, side: str) -> BearingParameters:
     """Bearing of the ``side`` gear."""
-    bearing: Bearing = getattr(parameters.bearings, side)
+    bearing: BearingParameters = getattr(parameters.bearings, side)
     return bearing

@@ -15,7 +15,7 @@ from gear_dynamics_ros.chunk import Chunk, Counters
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.events import PAUSE, RESUME
 from gear_dynamics_ros.messages.encoder import Encoder, Record
-from gear_dynamics_ros.parameters import Operation, Parameters, updated
+from gear_dynamics_ros.parameters import OperationParameters, Parameters, updated
 from gear_dynamics_ros.realtime.mailbox import RELEASED, Mailbox
 from gear_dynamics_ros.realtime.pacing import Pace, Pacer
 from gear_dynamics_ros.simulation.engine import Engine
@@ -201,7 +201,7 @@ class Live:
             return self._pacer.report(time.monotonic_ns())
 
     @property
-    def _operation(self) -> Operation:
+    def _operation(self) -> OperationParameters:
         return self.run.engine.parameters.operation
 
     def _restart_clocks(self) -> None:

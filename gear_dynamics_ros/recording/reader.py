@@ -19,7 +19,7 @@ from gear_dynamics_ros.chunk import Commands, Samples
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.cdr import deserialize, stamp_ns
 from gear_dynamics_ros.messages.decoder import RowReader, applied_commands
-from gear_dynamics_ros.parameters import Parameters, parse
+from gear_dynamics_ros.parameters import Parameters, parse_parameters
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.digest import TOLD, History
 from gear_dynamics_ros.recording.parts import PartFile, Stored, open_parts
@@ -341,7 +341,7 @@ class Recording:
         """Keys in TOPICS of what should be recorded in part ``number``, and has no channel there."""
         part = self.parts[number]
         names = {channel.topic for channel in part.found.channels.values()}
-        wanted = layout.recorded_topics(parse(part.parameters), self.node)
+        wanted = layout.recorded_topics(parse_parameters(part.parameters), self.node)
         return [key for key, (name, _) in wanted.items() if name not in names]
 
     @property
@@ -469,7 +469,7 @@ def open(path: str | Path) -> Recording:
     path = Path(path)
     parts = open_parts(path)
     try:
-        return Recording(path, parts, parse(parts[0].parameters))
+        return Recording(path, parts, parse_parameters(parts[0].parameters))
     except UsageError as error:
         raise GearboxError(f"{parts[0].path}: {layout.PARAMETERS_ATTACHMENT}: {error}") from error
 

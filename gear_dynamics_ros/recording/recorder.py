@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple
 from gear_dynamics_ros import __version__
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.encoder import Record
-from gear_dynamics_ros.parameters import Parameters, dump
+from gear_dynamics_ros.parameters import Parameters, dump_parameters
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.digest import TOLD, History
 from gear_dynamics_ros.recording.layout import Part, RunMetadata
@@ -392,7 +392,7 @@ class _PartWriter:
     def begin(self, run: RunMetadata, start: State) -> None:
         """Attachments and channels: whatever a reader needs before the first message."""
         self._mcap.add_metadata(layout.RUN_METADATA, run.to_text())
-        parameters, state = dump(start.parameters), json.dumps(start.checkpoint)
+        parameters, state = dump_parameters(start.parameters), json.dumps(start.checkpoint)
         self._attach(run.epoch_ns, layout.PARAMETERS_ATTACHMENT, "yaml", parameters)
         self._attach(run.epoch_ns, layout.START_ATTACHMENT, "json", state)
         self._history = History(run.to_lines(), parameters.encode(), state.encode())

@@ -22,7 +22,7 @@ from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.events import CHANGE, RESET, RESTORE
 from gear_dynamics_ros.messages.decoder import changes_meant
 from gear_dynamics_ros.messages.encoder import Encoder
-from gear_dynamics_ros.parameters import parse, updated
+from gear_dynamics_ros.parameters import parse_parameters, updated
 from gear_dynamics_ros.realtime.mailbox import RELEASED
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.parts import Stored
@@ -281,7 +281,7 @@ def _goals(recording: Recording, number: int) -> tuple[_Place, ...]:
 def _load(recording: Recording, place: _Place) -> State:
     part = recording.parts[place.part]
     if place.names == _START:
-        return State(part.start, parse(part.parameters))
+        return State(part.start, parse_parameters(part.parameters))
     (name,) = place.names
     try:
         saved = checkpoints.from_text(part.attachment(name).decode(), f"{part.path.name}: {name}")

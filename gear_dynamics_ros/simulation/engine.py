@@ -24,7 +24,13 @@ from gear_dynamics_ros.chunk import (
     Status,
 )
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.parameters import Operation, Parameters, differences, require_changeable, updated
+from gear_dynamics_ros.parameters import (
+    OperationParameters,
+    Parameters,
+    differences,
+    require_changeable,
+    updated,
+)
 from gear_dynamics_ros.physics import derived, kernel
 
 CHECKPOINT_FORMAT = 2
@@ -95,7 +101,7 @@ class Engine:
         self._hand_over(old.operation, new.operation)
         kernel.adapt(constants, self._state, self._points, *excitations, self._impacts, stored)
 
-    def _hand_over(self, old: Operation, new: Operation) -> None:
+    def _hand_over(self, old: OperationParameters, new: OperationParameters) -> None:
         torque = float(self._state["drive_torque"][0])
         commands = self.commands
         if (old.control, new.control) == ("speed", "torque"):

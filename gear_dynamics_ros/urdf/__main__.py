@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gear_dynamics_ros.cli.common import add_settings, guarded
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.parameters import NODE, load
+from gear_dynamics_ros.parameters import GEARBOX_NODE_NAME, load_parameters
 from gear_dynamics_ros.system.share import share_file
 from gear_dynamics_ros.urdf.description import robot_description
 
@@ -22,15 +22,20 @@ def urdf_main(argv: Sequence[str] | None = None) -> int:
     )
     add_settings(parser)
     parser.add_argument(
-        "--node", default=NODE, metavar="NAME", help="full name of the gearbox's node (default: %(default)s)"
+        "--node",
+        default=GEARBOX_NODE_NAME,
+        metavar="NAME",
+        help="full name of the gearbox's node (default: %(default)s)",
     )
     return guarded(_print_urdf, parser, argv)
 
 
 def _print_urdf(arguments: argparse.Namespace) -> int:
     if not arguments.node.startswith("/") or arguments.node.endswith("/"):
-        raise UsageError(f"--node is {arguments.node!r}, not the full name of a node: write it like {NODE}")
-    parameters = load(arguments.params_file or share_file("config/gearbox.yaml"), arguments.set)
+        raise UsageError(
+            f"--node is {arguments.node!r}, not the full name of a node: write it like {GEARBOX_NODE_NAME}"
+        )
+    parameters = load_parameters(arguments.params_file or share_file("config/gearbox.yaml"), arguments.set)
     print(robot_description(parameters, arguments.node), end="")
     return 0
 

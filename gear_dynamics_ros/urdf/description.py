@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from xml.etree import ElementTree as Xml
 
 from gear_dynamics_ros.messages.encoder import bearing_frame
-from gear_dynamics_ros.parameters import NODE, Parameters, specifications
+from gear_dynamics_ros.parameters import GEARBOX_NODE_NAME, Parameters, specifications
 from gear_dynamics_ros.physics.derived import base_radii
 from gear_dynamics_ros.topics import TOPICS, resolve
 
@@ -23,7 +23,7 @@ AXIS_UP, AXIS_DOWN = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
 Vector = tuple[float, float, float]
 
 
-def robot_description(parameters: Parameters, node: str = NODE) -> str:
+def robot_description(parameters: Parameters, node: str = GEARBOX_NODE_NAME) -> str:
     """URDF text, with a ros2_control block, of the gearbox of the node with the full name ``node``.
 
     The joints are those of the topic ``joint_states``; each bearing's link is the frame of its
