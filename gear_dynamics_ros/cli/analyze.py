@@ -9,10 +9,10 @@ from pathlib import Path
 
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.analysis.summary import WINDOW_LENGTH
-from gear_dynamics_ros.cli.common import guarded
 from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.reporting.analysis_report import analyze_recording, write_figures, write_numbers
+from gear_dynamics_ros.system.command import run_command
 
 
 def analyze_main(argv: Sequence[str] | None = None) -> int:
@@ -31,7 +31,7 @@ def analyze_main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--to", dest="end", type=float, metavar="S", help="end of the window (excluded), simulated time in s"
     )
-    return guarded(_analyze, parser, argv)
+    return run_command(_analyze, parser, argv)
 
 
 def _analyze(arguments: argparse.Namespace) -> int:

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from gear_dynamics_ros.cli.common import FAILURE, SIGNALLED, guarded
 from gear_dynamics_ros.cli.progress import ProgressLine
 from gear_dynamics_ros.cli.ros import add_gearbox, full_name, needing_ros
 from gear_dynamics_ros.errors import GearboxError
@@ -16,6 +15,7 @@ from gear_dynamics_ros.harness.junit import JunitReport
 from gear_dynamics_ros.harness.player import Player
 from gear_dynamics_ros.harness.profile import load_profile
 from gear_dynamics_ros.harness.results import Result, format_results
+from gear_dynamics_ros.system.command import FAILURE, SIGNALLED, run_command
 
 
 def drive_main(argv: Sequence[str] | None = None) -> int:
@@ -25,7 +25,7 @@ def drive_main(argv: Sequence[str] | None = None) -> int:
     interrupted it.
     """
     own, ros = _split_arguments(sys.argv[1:] if argv is None else argv)
-    return guarded(partial(_drive, ros_arguments=ros), _parser(), own)
+    return run_command(partial(_drive, ros_arguments=ros), _parser(), own)
 
 
 def _parser() -> argparse.ArgumentParser:

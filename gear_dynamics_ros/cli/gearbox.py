@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from gear_dynamics_ros.cli.common import FAILURE
+from gear_dynamics_ros.system.command import FAILURE
 
 
 def gearbox_main(argv: Sequence[str] | None = None) -> int:

@@ -6,13 +6,13 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from gear_dynamics_ros.cli.common import guarded
 from gear_dynamics_ros.cli.replay_diff import add_diff
 from gear_dynamics_ros.cli.replay_export import add_export
 from gear_dynamics_ros.cli.replay_info import add_info
 from gear_dynamics_ros.cli.replay_publish import add_publish
 from gear_dynamics_ros.cli.replay_recover import add_recover
 from gear_dynamics_ros.cli.replay_verify import add_verify
+from gear_dynamics_ros.system.command import run_command
 
 
 def replay_main(argv: Sequence[str] | None = None) -> int:
@@ -24,7 +24,7 @@ def replay_main(argv: Sequence[str] | None = None) -> int:
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for add in (add_info, add_verify, add_recover, add_diff, add_export, add_publish):
         add(verbs)
-    return guarded(lambda arguments: int(arguments.command(arguments)), parser, argv)
+    return run_command(lambda arguments: int(arguments.command(arguments)), parser, argv)
 
 
 if __name__ == "__main__":

@@ -9,10 +9,10 @@ from typing import Any
 
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.analysis.comparison import ANGLES
-from gear_dynamics_ros.cli.common import FAILURE
 from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.replay.pairing import BY_START, BY_TIME, pair
+from gear_dynamics_ros.system.command import FAILURE
 
 
 def add_diff(verbs: Any) -> None:

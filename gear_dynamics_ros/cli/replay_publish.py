@@ -9,12 +9,13 @@ from dataclasses import replace
 from typing import Any
 
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.cli.common import SIGNALLED
 from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.cli.ros import add_gearbox, full_name, needing_ros
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.harness import recorded
 from gear_dynamics_ros.harness.player import Player
+from gear_dynamics_ros.harness.profile import step_profile
+from gear_dynamics_ros.replay import publish
+from gear_dynamics_ros.system.command import SIGNALLED
 
 DESCRIPTION = """\
 Plays the commands of a recording to a running gearbox, for example to one with other parameters. The gearbox
@@ -62,7 +63,7 @@ def add_publish(verbs: Any) -> None:
 
 def _publish(arguments: argparse.Namespace) -> int:
     bag = recording.open(arguments.bag)
-    if arguments.reset and not recorded.starts_at_start_state(bag):
+    if arguments.reset and not publish.starts_at_start_state(bag):
         print(
             f"replay: {bag.path} begins in the middle of a run, the gearbox at its start state: their "
             "waveforms will differ",
@@ -75,8 +76,11 @@ def _play_at_own_pace(bag: recording.Recording, arguments: argparse.Namespace) -
     with needing_ros():
         from gear_dynamics_ros.ros.profile_client import play
     node = full_name(arguments.node)
-    profile = replace(recorded.profile_of(bag), reset=arguments.reset)
-    _print_skipped(recorded.skipped_by_profile(bag), "; with --lockstep resets and changes are")
+    script = publish.commands_of(bag)
+    commands = [(step.time_ns / 1e9, step.commands) for step in script.steps]
+    profile = step_profile(f"commands of {bag.path}", script.duration_ns / 1e9, commands)
+    profile = replace(profile, reset=arguments.reset)
+    _print_skipped(publish.skipped_by_commands(bag), "; with --lockstep resets and changes are")
     print(f"playing {bag.path} to {node}: {profile.duration:g} s of simulated time", flush=True)
     reached = 0.0
     with Progress("published", bag.duration_ns) as progress:
@@ -101,10 +105,10 @@ def _play_in_lockstep(bag: recording.Recording, arguments: argparse.Namespace) -
     with needing_ros():
         from gear_dynamics_ros.ros.lockstep_client import play
     node = full_name(arguments.node)
-    script = recorded.script_of(bag)
+    script = publish.script_of(bag)
     if arguments.reset:
-        script = recorded.with_initial_reset(script)
-    _print_skipped(recorded.skipped_by_script(bag), "")
+        script = publish.with_initial_reset(script)
+    _print_skipped(publish.skipped_by_script(bag), "")
     print(f"playing {bag.path} to {node} in lockstep: {script.duration_ns / 1e9:g} s", flush=True)
     with Progress("published", script.duration_ns) as progress:
         outcome = play(script, node, arguments.wait, arguments.timeout, progress, _ros_arguments(arguments))

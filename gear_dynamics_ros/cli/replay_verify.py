@@ -7,8 +7,8 @@ import sys
 from typing import Any
 
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.cli.common import FAILURE
 from gear_dynamics_ros.cli.progress import Progress
+from gear_dynamics_ros.system.command import FAILURE
 
 
 def add_verify(verbs: Any) -> None:

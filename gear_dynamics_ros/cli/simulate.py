@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from gear_dynamics_ros.cli.common import SIGNALLED, add_settings, guarded
+from gear_dynamics_ros.cli.options import add_settings
 from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.parameters import Parameters, load_parameters, read_settings, updated
@@ -18,6 +18,7 @@ from gear_dynamics_ros.realtime.engine_thread import warm_up
 from gear_dynamics_ros.recording.offline import engine_from_checkpoint, simulate_to_recording
 from gear_dynamics_ros.simulation import checkpoints
 from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.system.command import SIGNALLED, run_command
 from gear_dynamics_ros.system.processes import noted_signals
 from gear_dynamics_ros.system.share import share_file
 
@@ -47,7 +48,7 @@ def simulate_main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="recording to make")
     add_settings(parser)
-    return guarded(_simulate, parser, argv)
+    return run_command(_simulate, parser, argv)
 
 
 def _simulate(arguments: argparse.Namespace) -> int:

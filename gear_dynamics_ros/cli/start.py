@@ -5,35 +5,35 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 
-from gear_dynamics_ros.cli.common import INTERRUPTED
+from gear_dynamics_ros.system.command import INTERRUPTED
 
 
 def gearbox() -> int:
     """Run ``gearbox``; returns the exit code, as all here do."""
-    return _run_command("gearbox")
+    return _run_main("gearbox")
 
 
 def drive() -> int:
     """Run ``drive``."""
-    return _run_command("drive")
+    return _run_main("drive")
 
 
 def simulate() -> int:
     """Run ``simulate``."""
-    return _run_command("simulate")
+    return _run_main("simulate")
 
 
 def replay() -> int:
     """Run ``replay``."""
-    return _run_command("replay")
+    return _run_main("replay")
 
 
 def analyze() -> int:
     """Run ``analyze``."""
-    return _run_command("analyze")
+    return _run_main("analyze")
 
 
-def _run_command(name: str) -> int:
+def _run_main(name: str) -> int:
     try:
         return int(getattr(import_module(f"gear_dynamics_ros.cli.{name}"), f"{name}_main")())
     except KeyboardInterrupt:

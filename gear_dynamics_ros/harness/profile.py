@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
@@ -11,7 +11,7 @@ from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.harness import fields
 from gear_dynamics_ros.harness.expectations import Expectation, parse_expectations
-from gear_dynamics_ros.harness.tracks import CommandTrack, parse_track
+from gear_dynamics_ros.harness.tracks import CommandTrack, RampPiece, parse_track
 from gear_dynamics_ros.parameters import Parameters, specifications
 from gear_dynamics_ros.parameters.rcl_yaml import parse_yaml
 
@@ -72,6 +72,30 @@ def parse_profile(data: object, folder: Path) -> Profile:
         tracks,
         expectations,
     )
+
+
+def step_profile(description: str, duration: float, commands: Sequence[tuple[float, Commands]]) -> Profile:
+    """Profile of ``duration`` s that sets commands in steps: ``commands`` are times in s, ascending from 0.
+
+    A command whose value stays the same has no step.
+    """
+    return Profile(
+        description=description,
+        duration=duration,
+        parameters={},
+        reset=False,
+        commands={name: _step_track(commands, name) for name in Commands._fields},
+        expectations=(),
+    )
+
+
+def _step_track(commands: Sequence[tuple[float, Commands]], name: str) -> CommandTrack:
+    pieces: list[RampPiece] = []
+    for time, values in commands:
+        value = float(getattr(values, name))
+        if not pieces or value != pieces[-1].final:
+            pieces.append(RampPiece(time, time, value, value))
+    return CommandTrack(tuple(pieces))
 
 
 def _parameters(tree: object) -> Mapping[str, ParameterSetting]:

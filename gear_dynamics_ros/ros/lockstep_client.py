@@ -22,16 +22,16 @@ from std_srvs.srv import SetBool, Trigger
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.events import CHANGE, PAUSE
-from gear_dynamics_ros.harness.recorded import (
+from gear_dynamics_ros.messages.cdr import stamp_ns
+from gear_dynamics_ros.messages.decoder import applied_commands
+from gear_dynamics_ros.parameters import specifications
+from gear_dynamics_ros.replay.publish import (
     LockstepScript,
     ResetAction,
     ScriptAction,
     ScriptStep,
     require_chunk_edges,
 )
-from gear_dynamics_ros.messages.cdr import stamp_ns
-from gear_dynamics_ros.messages.decoder import applied_commands
-from gear_dynamics_ros.parameters import specifications
 from gear_dynamics_ros.ros.client_context import ros_context
 from gear_dynamics_ros.ros.node_topics import quality
 from gear_dynamics_ros.system.processes import noted_signals

@@ -7,9 +7,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from gear_dynamics_ros.cli.common import add_settings, guarded
+from gear_dynamics_ros.cli.options import add_settings
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import GEARBOX_NODE_NAME, load_parameters
+from gear_dynamics_ros.system.command import run_command
 from gear_dynamics_ros.system.share import share_file
 from gear_dynamics_ros.urdf.description import robot_description
 
@@ -27,7 +28,7 @@ def urdf_main(argv: Sequence[str] | None = None) -> int:
         metavar="NAME",
         help="full name of the gearbox's node (default: %(default)s)",
     )
-    return guarded(_print_urdf, parser, argv)
+    return run_command(_print_urdf, parser, argv)
 
 
 def _print_urdf(arguments: argparse.Namespace) -> int:

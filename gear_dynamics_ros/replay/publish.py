@@ -1,4 +1,4 @@
-"""What to play to a live gearbox from a recording: a profile to follow, or a script for lockstep."""
+"""What to play to a live gearbox from a recording: its commands alone, or all that was done to it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ from typing import Any, TypeAlias
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.events import CHANGE, RESET, RESTORE
-from gear_dynamics_ros.harness.profile import Profile
-from gear_dynamics_ros.harness.tracks import CommandTrack, RampPiece
 from gear_dynamics_ros.recording.reader import Event, Recording
 
 # Parameters that are commands too: a recording has their changes among its commands.
@@ -53,21 +51,12 @@ class LockstepScript:
     steps: tuple[ScriptStep, ...]
 
 
-def profile_of(recording: Recording) -> Profile:
-    """A profile of the recording's commands, its first sample at time 0.
+def commands_of(recording: Recording) -> LockstepScript:
+    """The recording's commands at their times, without its resets and changes of parameters.
 
     Raises UsageError if the recording has no samples.
     """
-    script = _script(recording, ())
-    tracks = {name: _track(script, name) for name in Commands._fields}
-    return Profile(
-        description=f"commands of {recording.path}",
-        duration=script.duration_ns / 1e9,
-        parameters={},
-        reset=False,
-        commands=tracks,
-        expectations=(),
-    )
+    return _script(recording, ())
 
 
 def script_of(recording: Recording) -> LockstepScript:
@@ -97,8 +86,8 @@ def require_chunk_edges(script: LockstepScript, chunk_ns: int) -> None:
         )
 
 
-def skipped_by_profile(recording: Recording) -> Counter[str]:
-    """Number of events by kind that ``profile_of`` leaves out."""
+def skipped_by_commands(recording: Recording) -> Counter[str]:
+    """Number of events by kind that ``commands_of`` leaves out."""
     changes = [event for event in _events(recording, CHANGE) if event.parameters.keys() - COMMAND_PARAMETERS]
     return Counter(
         {
@@ -162,13 +151,3 @@ def _events(recording: Recording, kind: str) -> list[Event]:
 
 def _sets_pacing(name: str) -> bool:
     return name.startswith(PACING_PREFIXES)
-
-
-def _track(script: LockstepScript, name: str) -> CommandTrack:
-    pieces: list[RampPiece] = []
-    for step in script.steps:
-        value = float(getattr(step.commands, name))
-        if not pieces or value != pieces[-1].final:
-            time = step.time_ns / 1e9
-            pieces.append(RampPiece(time, time, value, value))
-    return CommandTrack(tuple(pieces))

@@ -1,4 +1,4 @@
-"""What all commands share: errors become one line on stderr and an exit code."""
+"""The outermost call of every command: errors become one line on stderr and an exit code."""
 
 from __future__ import annotations
 
@@ -16,18 +16,7 @@ SIGNALLED = 128  # added to the number of the signal, as shells do
 INTERRUPTED = SIGNALLED + signal.SIGINT
 
 
-def add_settings(parser: argparse.ArgumentParser) -> None:
-    """Add the option ``--set``, which overrides parameters."""
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="override a parameter; may be repeated",
-    )
-
-
-def guarded(
+def run_command(
     command: Callable[[argparse.Namespace], int], parser: argparse.ArgumentParser, argv: Sequence[str] | None
 ) -> int:
     """Parse ``argv`` and run ``command``; returns the exit code of what it returns or raises.
