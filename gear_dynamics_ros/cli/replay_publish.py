@@ -94,8 +94,8 @@ def _play_at_own_pace(bag: recording.Recording, arguments: argparse.Namespace) -
 
         outcome = play(profile, node, arguments.wait, arguments.timeout, watch, _ros_arguments(arguments))
     print(
-        f"{outcome.published} commands published over {reached:.9g} s of simulated time, values that stay "
-        "ten times a second; each acts at the chunk edge after it came, a chunk or two late",
+        f"{outcome.published} commands published over {reached:.9g} s of simulated time, unchanged "
+        "values ten times a second; each acts at the next chunk edge, a chunk or two late",
         flush=True,
     )
     return _exit_code(outcome.failure, outcome.signal)

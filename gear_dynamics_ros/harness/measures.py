@@ -103,9 +103,9 @@ class SettlingTime:
 
 @dataclass(frozen=True, slots=True)
 class Reversal:
-    """How far the channel at most falls back from its extreme so far, while it moves in ``direction``.
+    """Largest distance of a channel behind the extreme that it has reached in ``direction``.
 
-    ``direction`` is a key of DIRECTIONS.
+    0 for a channel that moves in this direction only. ``direction`` is a key of DIRECTIONS.
     """
 
     direction: str
