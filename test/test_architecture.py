@@ -27,6 +27,7 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
     "viewer": {"contract", "system", "parameters", "physics"},
     "realtime": {"contract", "system", "parameters", "messages", "simulation", "recording"},
     "replay": {"contract", "system", "parameters", "messages", "simulation", "recording", "analysis"},
+    "reporting": {"contract", "system", "recording", "analysis"},
     "harness": {"contract", "system", "parameters"},
     "ros": {
         "contract",
@@ -45,15 +46,16 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
         "system",
         "parameters",
         "physics",
-        "messages",
         "simulation",
         "recording",
         "analysis",
         "realtime",
         "replay",
+        "reporting",
         "harness",
         "ros",
     },
+    "urdf": {"contract", "system", "parameters", "physics", "messages", "cli"},
 }
 # Files, by glob below the package, that alone may import a library.
 HOMES: Final[dict[str, tuple[str, ...]]] = {

@@ -200,7 +200,7 @@ def test_the_ledger_closes_over_changes(model: str) -> None:
         chunks.append(engine.advance(50))
     rows = np.concatenate([chunk.samples for chunk in chunks])[:, len(CHANNEL_NAMES) :]
     moved = np.abs(np.diff(rows[:, : -len(ledger.STORED)], axis=0)).sum()
-    assert np.abs((rows - rows[0]) @ ledger.SHARES).max() < 1e-6 * moved
+    assert np.abs((rows - rows[0]) @ ledger.RESIDUAL_SIGNS).max() < 1e-6 * moved
     assert stored_by_changes > 1e-4 * moved
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from gear_dynamics_ros import __version__, recording
 from gear_dynamics_ros.chunk import Commands
-from gear_dynamics_ros.cli.simulate import main as simulate
+from gear_dynamics_ros.cli.simulate import simulate_main as simulate
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.parameters import Parameters, specifications, updated
 from gear_dynamics_ros.physics import derived

@@ -19,19 +19,9 @@ from conftest import Process, StartProcess
 from pyarrow import parquet
 
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.channels import (
-    CHANNEL_NAMES,
-    CHANNELS,
-    ENERGIES,
-    IMPACTS,
-)
-from gear_dynamics_ros.chunk import (
-    Chunk,
-    Commands,
-    Counters,
-    Status,
-)
-from gear_dynamics_ros.cli.replay import main as replay_main
+from gear_dynamics_ros.channels import CHANNEL_NAMES, CHANNELS, ENERGIES, IMPACTS
+from gear_dynamics_ros.chunk import Chunk, Commands, Counters, Status
+from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters, dump_parameters, updated
@@ -365,8 +355,8 @@ def test_a_broken_off_recording_exports_what_is_readable(
 FULL = """
 import resource, sys
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2)
-from gear_dynamics_ros.cli.replay import main
-sys.exit(main(sys.argv[2:]))
+from gear_dynamics_ros.cli.replay import replay_main
+sys.exit(replay_main(sys.argv[2:]))
 """
 
 
@@ -414,11 +404,13 @@ def test_a_killed_export_leaves_nothing_that_passes_for_whole(
 
 
 def test_parquet_without_pyarrow_is_one_clear_line(run: Path, tmp_path: Path) -> None:
-    code = "import sys; sys.modules.update(pyarrow=None); from gear_dynamics_ros.cli.replay import main; "
+    code = (
+        "import sys; sys.modules.update(pyarrow=None); from gear_dynamics_ros.cli.replay import replay_main; "
+    )
     for suffix, expected in (("parquet", 2), ("csv", 0), ("npy", 0)):
         words = ["export", str(run), "--output", str(tmp_path / f"x.{suffix}")]
         done = subprocess.run(
-            [sys.executable, "-c", code + "sys.exit(main(sys.argv[1:]))", *words],
+            [sys.executable, "-c", code + "sys.exit(replay_main(sys.argv[1:]))", *words],
             capture_output=True,
             text=True,
             timeout=120,
@@ -433,7 +425,7 @@ GROWTH = """
 import resource, sys
 from pathlib import Path
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.recording.export.write import export
+from gear_dynamics_ros.recording.export import export
 bag, folder, suffix = recording.open(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
 export(bag, folder / f"short.{suffix}", end=0.7)
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

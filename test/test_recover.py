@@ -38,7 +38,7 @@ from rosbags.rosbag2 import Reader
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.chunk import Chunk as Samples
 from gear_dynamics_ros.chunk import Commands
-from gear_dynamics_ros.cli.replay import main as replay_main
+from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.cdr import deserialize, serialize
 from gear_dynamics_ros.messages.decoder import waveform_samples
@@ -622,7 +622,7 @@ def test_an_interrupted_recovery_leaves_nothing_that_passes_for_complete(bag: Pa
     assert done.returncode == -signal.SIGKILL
     assert [path.name for path in tmp_path.iterdir()] == ["out.part"]
     assert not (tmp_path / "out.part" / "metadata.yaml").exists()
-    with pytest.raises(UsageError, match=r"out\.part' is left of a recovery"):
+    with pytest.raises(UsageError, match=r"out\.part' exists already: .* left it when it was killed"):
         recover(bag, tmp_path / "out")
 
 

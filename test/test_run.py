@@ -13,8 +13,9 @@ from gear_dynamics_ros.messages.cdr import deserialize
 from gear_dynamics_ros.messages.decoder import applied_commands, waveform_samples
 from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters, updated
+from gear_dynamics_ros.physics.advice import parameter_warnings
 from gear_dynamics_ros.simulation.engine import Engine
-from gear_dynamics_ros.simulation.run import Run, advice
+from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.topics import TOPICS
 
 EPOCH = 1_700_000_000_000_000_000
@@ -181,11 +182,13 @@ def test_a_sink_attached_later_learns_the_commands_in_force():
 
 def test_unbalanced_torques_are_named_with_the_acceleration_they_cause():
     torque = {"operation.control": "torque"}
-    assert advice(Parameters.from_flat(torque)) == []
-    assert advice(Parameters.from_flat({"operation.drive_torque": 31.0})) == []
-    (line,) = advice(Parameters.from_flat({**torque, "operation.drive_torque": 31.0}))
+    assert parameter_warnings(Parameters.from_flat(torque)) == []
+    assert parameter_warnings(Parameters.from_flat({"operation.drive_torque": 31.0})) == []
+    (line,) = parameter_warnings(Parameters.from_flat({**torque, "operation.drive_torque": 31.0}))
     assert "operation.drive_torque = 31" in line and "224.2 rad/s^2" in line
     assert (
-        advice(Parameters.from_flat({**torque, "operation.drive_torque": 15.0, "gears.driven.teeth": 80}))
+        parameter_warnings(
+            Parameters.from_flat({**torque, "operation.drive_torque": 15.0, "gears.driven.teeth": 80})
+        )
         == []
     )

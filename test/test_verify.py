@@ -22,7 +22,7 @@ from mcap.reader import make_reader
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.channels import CHANNEL_NAMES, COLUMN, PACE
 from gear_dynamics_ros.chunk import Commands
-from gear_dynamics_ros.cli.replay import main as replay_main
+from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.cdr import message_class, serialize
 from gear_dynamics_ros.messages.encoder import Encoder

@@ -44,11 +44,6 @@ class Check(NamedTuple):
         )
 
 
-def warnings(parameters: Parameters, speed: float | None = None) -> list[str]:
-    """A line for each rate that is too high for the step; ``speed`` in rad/s as ``checks`` takes it."""
-    return [check.message for check in checks(parameters, speed) if not check.holds]
-
-
 def checks(parameters: Parameters, speed: float | None = None) -> list[Check]:
     """Every rate of the model; ``speed`` of the driving gear in rad/s, by default ``operation.speed``."""
     step = parameters.solver.step

@@ -8,10 +8,9 @@ from __future__ import annotations
 import itertools
 import json
 import os
-import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
@@ -26,16 +25,10 @@ from gear_dynamics_ros.messages.cdr import TYPESTORE
 from gear_dynamics_ros.messages.decoder import RowReader
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.layout import Definitions, Part, RunMetadata
-from gear_dynamics_ros.recording.mcap.survey import (
-    Content,
-    Piece,
-    first_bytes,
-    read_summary,
-    walk,
-)
+from gear_dynamics_ros.recording.mcap.survey import Content, Piece, first_bytes, read_summary, walk
 from gear_dynamics_ros.recording.mcap.writer import McapWriter
 from gear_dynamics_ros.recording.parts import part_files, reading
-from gear_dynamics_ros.system.files import replace_text, sync_folder
+from gear_dynamics_ros.system.files import new_folder, replace_text, require_new
 from gear_dynamics_ros.topics import TOPICS, Topic, resolve
 
 _LIBRARY: Final = f"{layout.RUN_METADATA} {__version__}"
@@ -146,7 +139,7 @@ def recover(source: Path, target: Path, progress: Callable[[float], None] = lamb
     found, unbegun = _begun(found)
     left_out |= {part.path.name: "broke off before its start" for part in unbegun}
     track = _Track(next((part.run for part in found if part.run is not None), None))
-    with _draft(target) as draft:
+    with new_folder(target) as draft:
         rebuilt: list[_Rebuilt] = []
         for number, (part, name) in enumerate(zip(found, _names(found, target), strict=True)):
             stage = _stage(progress, len(files) + number, 2 * len(files))
@@ -263,12 +256,9 @@ class _Track:
 
 
 def _require_place(source: Path, target: Path) -> None:
-    if os.path.lexists(target):
-        raise UsageError(
-            f"--output: '{target}' exists already and is not overwritten: choose another path or move it away"
-        )
+    require_new(target)
     if Path(os.path.realpath(target)).is_relative_to(os.path.realpath(source)):
-        raise UsageError(f"--output: '{target}' lies inside the recording itself: choose a path beside it")
+        raise UsageError(f"'{target}' lies inside the recording itself: choose a path beside it")
 
 
 def _stage(progress: Callable[[float], None], number: int, count: int) -> Callable[[float], None]:
@@ -459,41 +449,3 @@ def _topics(schemas: Mapping[int, Schema], channels: Mapping[int, Channel], node
         channel.topic: known.get(channel.topic, Topic(channel.topic, schemas[channel.schema_id].name, ""))
         for channel in channels.values()
     }
-
-
-@contextmanager
-def _draft(target: Path) -> Iterator[Path]:
-    """Folder that takes the name ``target`` once the work in it is done, and goes if that fails."""
-    draft = target.with_name(f"{target.name}.part")
-    _make_folder(draft, target)
-    try:
-        yield draft
-        sync_folder(draft)
-        if os.path.lexists(target):
-            raise UsageError(f"--output: '{target}' has come into being meanwhile: choose another path")
-        draft.rename(target)
-        sync_folder(target.parent)
-    except BaseException as error:
-        shutil.rmtree(draft, ignore_errors=True)  # what went wrong before tells more
-        if isinstance(error, OSError):
-            raise GearboxError(
-                f"can't write '{target}': {error.strerror}: free space or choose another --output"
-            ) from error
-        raise
-
-
-def _make_folder(draft: Path, target: Path) -> None:
-    try:
-        draft.mkdir()
-    except FileExistsError:
-        raise UsageError(
-            f"--output: '{draft}' is left of a recovery that broke off: remove it or choose another path"
-        ) from None
-    except FileNotFoundError:
-        raise UsageError(
-            f"--output: the folder '{target.parent}' does not exist: make it or choose another path"
-        ) from None
-    except OSError as error:
-        raise UsageError(
-            f"--output: can't make '{target}': {error.strerror}: choose a writable place"
-        ) from error

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,8 +21,9 @@ from rclpy.serialization import serialize_message
 
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.decoder import changes_meant
-from gear_dynamics_ros.parameters import Parameters, require_changeable
+from gear_dynamics_ros.parameters import require_changeable
 from gear_dynamics_ros.physics import step_check
+from gear_dynamics_ros.physics.advice import parameter_warnings
 from gear_dynamics_ros.realtime.engine_thread import warm_up
 from gear_dynamics_ros.realtime.mailbox import Mailbox
 from gear_dynamics_ros.realtime.session import Session
@@ -30,7 +31,6 @@ from gear_dynamics_ros.ros import diagnostics, node_parameters, node_topics
 from gear_dynamics_ros.ros.node_services import create_services
 from gear_dynamics_ros.simulation import checkpoints
 from gear_dynamics_ros.simulation.engine import Engine
-from gear_dynamics_ros.simulation.run import advice
 from gear_dynamics_ros.simulation.sinks import ViewerSink
 from gear_dynamics_ros.viewer import Viewer, open_viewer
 
@@ -120,7 +120,7 @@ class GearboxNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def _configure(self) -> None:
-        self._warn(warnings(self.parameters))
+        self._warn(parameter_warnings(self.parameters))
         if self.parameters.checkpoint.path:
             checkpoints.require_place(Path(self.parameters.checkpoint.path).absolute())
         warm_up(self.parameters, self._log.info)
@@ -240,8 +240,8 @@ class GearboxNode(LifecycleNode):
 
     def _take_parameters(self, parameters: list[Parameter]) -> None:
         old, self.parameters = self.parameters, node_parameters.changed(self.parameters, parameters)
-        known = warnings(old)
-        self._warn(line for line in warnings(self.parameters) if line not in known)
+        known = parameter_warnings(old)
+        self._warn(line for line in parameter_warnings(self.parameters) if line not in known)
         if self._session is not None:
             self._session.change(self.parameters)
         elif self._engine is not None:
@@ -297,8 +297,3 @@ class GearboxNode(LifecycleNode):
         )
         array = diagnostics.array(found, session.now_ns)
         session.report(pace, bytes(serialize_message(array)))
-
-
-def warnings(parameters: Parameters) -> Sequence[str]:
-    """What the operator should know of these parameters, a line each."""
-    return (*advice(parameters), *step_check.warnings(parameters))

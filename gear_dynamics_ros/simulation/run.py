@@ -193,23 +193,3 @@ def _samples(duration: float, interval_ns: int) -> int | None:
         return None
     # The decimal that the user typed, not the binary fraction beside it, decides how many samples fit.
     return math.ceil(Fraction(repr(duration)) * 10**9 / interval_ns)
-
-
-def advice(parameters: Parameters) -> list[str]:
-    """What is allowed but hardly meant, a line each."""
-    operation, gears = parameters.operation, parameters.gears
-    if operation.control != "torque":
-        return []
-    ratio = gears.driving.teeth / gears.driven.teeth
-    speed = operation.speed * ratio if operation.initial == "touching" else 0.0
-    load = operation.load_torque * (math.tanh(speed) if operation.load_law == "brake" else 1.0)
-    load += operation.load_viscous * speed
-    surplus = operation.drive_torque - load * ratio
-    if math.isclose(operation.drive_torque, load * ratio, rel_tol=1e-9, abs_tol=1e-9):
-        return []
-    acceleration = surplus / (gears.driving.inertia + gears.driven.inertia * ratio**2)
-    return [
-        f"operation.drive_torque = {operation.drive_torque:g} N m does not balance the load of "
-        f"{load * ratio:g} N m at the driving shaft: the speed changes by {acceleration:.4g} rad/s^2; "
-        "balance them or set operation.control: speed"
-    ]
