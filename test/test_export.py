@@ -425,7 +425,7 @@ GROWTH = """
 import resource, sys
 from pathlib import Path
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.recording.export import export
+from gear_dynamics_ros.recording.export.write import export
 bag, folder, suffix = recording.open(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
 export(bag, folder / f"short.{suffix}", end=0.7)
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
