@@ -116,7 +116,7 @@ TOPICS: Final[dict[str, Topic]] = {
         True,
         10,
         True,
-        "JSON: sample, time (s), event, message, counters; parameters that changed, a restored checkpoint",
+        "JSON: sample, time (s), event, message, counters; parameters, checkpoint, commands that it brought",
     ),
 }
 
@@ -129,7 +129,7 @@ FLOAT_COMMANDS: Final = {
 }
 JOINT_COMMAND: Final = "joint_command"
 COMMAND_TOPICS: Final = (*FLOAT_COMMANDS, JOINT_COMMAND)
-# What the encoder makes of a chunk, in that order; impacts only where some ended.
+# What the encoder makes of a chunk, in that order; impacts only where some ended, the clock at its rate.
 OF_A_CHUNK: Final = (
     "joint_states",
     "dte",
@@ -140,6 +140,7 @@ OF_A_CHUNK: Final = (
     "meshing_state",
     "energy",
     "impacts",
+    "clock",
     "waveform",
 )
 

@@ -19,7 +19,7 @@ from gear_dynamics_ros.chunk import Samples
 from gear_dynamics_ros.cli.common import Progress, guarded
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.events import RESET, RESTORE
-from gear_dynamics_ros.recording import Event, Recording
+from gear_dynamics_ros.recording import OperatorEvent, Recording
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -150,7 +150,7 @@ def describe(bag: Recording, whole: Pass, samples: Samples) -> dict[str, Any]:
     }
 
 
-def described(event: Event) -> dict[str, Any]:
+def described(event: OperatorEvent) -> dict[str, Any]:
     """An event for the summary; the state that a restore brought stays in the recording."""
     entries = event._asdict()
     del entries["checkpoint"]
@@ -162,7 +162,7 @@ def energy(bag: Recording) -> dict[str, Any] | None:
     """The energy balance over the whole recording, None where it lacks the topic."""
     balance = ledger.Ledger([event.sample for event in bag.events if event.kind in (RESET, RESTORE)])
     for time_ns, rows in bag.rows("energy"):
-        balance.add(bag.sample(time_ns) + 1, rows[0])
+        balance.add(bag.sample_of(time_ns) + 1, rows[0])
     return balance.block(interval(bag), bag.parameters)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.recording import Event, Recording
+from gear_dynamics_ros.recording import OperatorEvent, Recording
 from gear_dynamics_ros.recording.parts import PartFile
 
 
@@ -66,5 +66,5 @@ def _part(bag: Recording, part: PartFile) -> str:
     )
 
 
-def _what(event: Event) -> str:
+def _what(event: OperatorEvent) -> str:
     return event.message or ", ".join(f"{name} = {value}" for name, value in event.parameters.items())

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from gear_dynamics_ros.cli.common import Progress
-from gear_dynamics_ros.recording.recover import PartReport, Report, Span, default_target, recover
+from gear_dynamics_ros.recording.recover import RecoveredPart, Recovery, SampleRange, default_target, recover
 
 
 def add_recover(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -28,7 +28,7 @@ def recover_bag(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _lines(report: Report) -> Iterator[str]:
+def _lines(report: Recovery) -> Iterator[str]:
     yield f"{report.source}: recovered to {report.target}"
     for part in report.parts:
         yield f"  {part.name}  {part.size} bytes  {_state(part)}"
@@ -43,7 +43,7 @@ def _lines(report: Report) -> Iterator[str]:
     yield _verdict(report)
 
 
-def _state(part: PartReport) -> str:
+def _state(part: RecoveredPart) -> str:
     spoilt = _spoilt([part])
     left_out = f"; left out as spoilt: {', '.join(spoilt)}" if spoilt else ""
     if part.whole:
@@ -54,13 +54,13 @@ def _state(part: PartReport) -> str:
     return f"breaks off at byte {part.break_at}: {behind}{left_out}"
 
 
-def _kept(of: PartReport | Report, report: Report) -> str:
+def _kept(of: RecoveredPart | Recovery, report: Recovery) -> str:
     if of.span is None:
         return f"{of.messages} messages, no samples"
     return f"{of.messages} messages, {of.samples} samples, {_times(of.span, report)}"
 
 
-def _spoilt(parts: Sequence[PartReport]) -> list[str]:
+def _spoilt(parts: Sequence[RecoveredPart]) -> list[str]:
     counts = {
         "chunk": sum(part.spoilt_chunks for part in parts),
         "attachment": sum(part.spoilt_attachments for part in parts),
@@ -69,13 +69,13 @@ def _spoilt(parts: Sequence[PartReport]) -> list[str]:
     return [f"{count} {what}{'s' if count > 1 else ''}" for what, count in counts.items() if count]
 
 
-def _times(span: Span, report: Report) -> str:
+def _times(span: SampleRange, report: Recovery) -> str:
     """First and last sample; where there are samples, their interval is known."""
     first, last = (sample * (report.sample_interval_ns or 0) / 1e9 for sample in (span.first, span.end - 1))
     return f"{span.first} to {span.end - 1} ({first:.6f} s to {last:.6f} s)"
 
 
-def _verdict(report: Report) -> str:
+def _verdict(report: Recovery) -> str:
     if report.whole:
         return "nothing was lost"
     tail = sum(part.tail for part in report.parts)

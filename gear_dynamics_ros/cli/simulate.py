@@ -19,7 +19,8 @@ from gear_dynamics_ros.physics import step_check
 from gear_dynamics_ros.realtime.engine_thread import warm_up
 from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.recording.sink import RecorderSink
-from gear_dynamics_ros.simulation import checkpoints
+from gear_dynamics_ros.simulation import checkpoint
+from gear_dynamics_ros.simulation.checkpoint import StoredCheckpoint
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.system.processes import noted_signals
@@ -70,18 +71,18 @@ def main(argv: Sequence[str] | None = None) -> int:
 def simulate(arguments: argparse.Namespace) -> int:
     """Simulate and record; exit code 1 if the run ended before its time, 128 + n if signal n broke it off."""
     if arguments.from_checkpoint is None:
-        saved = None
+        stored = None
         parameters = load(arguments.params_file or share_file("config/gearbox.yaml"), arguments.set)
     else:
-        saved = checkpoints.load(arguments.from_checkpoint)
-        parameters = updated(saved.parameters, read_settings(arguments.set))
-        checkpoints.require_fitting(saved, parameters)
+        stored = checkpoint.load(arguments.from_checkpoint)
+        parameters = updated(stored.checkpoint.parameters, read_settings(arguments.set))
+        checkpoint.require_fitting(stored, parameters)
     duration = checked_duration(arguments.duration, parameters)
     for line in step_check.warnings(parameters):
         print(f"simulate: warning: {line}", file=sys.stderr)
     warm_up(parameters, lambda line: print(f"simulate: {line}", file=sys.stderr))
-    engine = Engine(parameters) if saved is None else resumed(saved, parameters)
-    recorder = Recorder(arguments.output, parameters, engine.checkpoint(), EPOCH_NS)
+    engine = Engine(parameters) if stored is None else resumed(stored, parameters)
+    recorder = Recorder(arguments.output, engine.checkpoint(), EPOCH_NS)
     run = Run(
         engine, Encoder(parameters, EPOCH_NS), [StrictRecorderSink(recorder, engine)], duration=duration
     )
@@ -112,13 +113,13 @@ def simulate(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def resumed(saved: checkpoints.Saved, parameters: Parameters) -> Engine:
-    """Engine in the state of ``saved`` at time 0, where ``parameters`` come into force.
+def resumed(stored: StoredCheckpoint, parameters: Parameters) -> Engine:
+    """Engine in the state of ``stored`` at time 0, where ``parameters`` come into force.
 
     Raises UsageError if they don't fit the state, GearboxError if the state is spoilt.
     """
-    engine = Engine(checkpoints.continued(saved, parameters))
-    engine.resume(saved.checkpoint)
+    engine = Engine(checkpoint.continued(stored, parameters))
+    engine.resume(stored.checkpoint)
     engine.change(parameters)
     return engine
 

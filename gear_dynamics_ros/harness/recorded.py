@@ -10,10 +10,10 @@ from typing import Any, TypeAlias
 
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.events import CHANGE, RESET, RESTORE
+from gear_dynamics_ros.events import CHANGE, RESET, RESTORE, OperatorEvent
 from gear_dynamics_ros.harness.profile import Profile
 from gear_dynamics_ros.harness.tracks import Segment, Track
-from gear_dynamics_ros.recording.reader import Event, Recording
+from gear_dynamics_ros.recording.reader import Recording
 
 # Parameters that are commands as well: a recording holds what they changed among its commands.
 COMMANDED = frozenset(f"operation.{name}" for name in Commands._fields)
@@ -122,10 +122,10 @@ def left_out_of_script(recording: Recording) -> Counter[str]:
 
 def starts_from_start_state(recording: Recording) -> bool:
     """Whether the recording's first sample is the first after a start or a reset."""
-    return int(recording.start["state"]["steps"]) == 0
+    return bool(recording.start.state.get("steps") == 0)
 
 
-def _script(recording: Recording, events: Sequence[Event]) -> Script:
+def _script(recording: Recording, events: Sequence[OperatorEvent]) -> Script:
     first, end = recording.first_sample, recording.end_sample
     if first == end:
         raise UsageError(f"'{recording.path}' holds no sample: nothing to play")
@@ -135,7 +135,7 @@ def _script(recording: Recording, events: Sequence[Event]) -> Script:
         if first <= event.sample < end:
             acts[event.sample].extend(_acts(event))
     commands = {max(sample, first): commands for sample, commands in recording.commands if sample < end}
-    in_force = Commands(**recording.start["commands"])
+    in_force = recording.start.commands
     moments: list[Moment] = []
     for sample in sorted({first} | acts.keys() | commands.keys()):
         # After a reset the gearbox has commands of its own parameters: those in force are said again.
@@ -146,7 +146,7 @@ def _script(recording: Recording, events: Sequence[Event]) -> Script:
     return Script((end - first) * interval_ns, tuple(moments))
 
 
-def _acts(event: Event) -> list[Act]:
+def _acts(event: OperatorEvent) -> list[Act]:
     if event.kind == RESET:
         return [Reset()]
     if event.kind == CHANGE:
@@ -155,7 +155,7 @@ def _acts(event: Event) -> list[Act]:
     return []
 
 
-def _events(recording: Recording, kind: str) -> list[Event]:
+def _events(recording: Recording, kind: str) -> list[OperatorEvent]:
     first, end = recording.first_sample, recording.end_sample
     return [event for event in recording.events if event.kind == kind and first <= event.sample < end]
 

@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
-from gear_dynamics_ros.chunk import Chunk
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.events import PAUSE, RESUME
 from gear_dynamics_ros.messages.encoder import Encoder, Record
@@ -21,7 +20,7 @@ from gear_dynamics_ros.realtime.pacing import Pace
 from gear_dynamics_ros.realtime.recording_control import RecordingControl
 from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.recording.ring import Excerpt
-from gear_dynamics_ros.simulation import checkpoints
+from gear_dynamics_ros.simulation import checkpoint
 from gear_dynamics_ros.simulation.engine import Engine, require_resumable
 from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.simulation.sinks import Sink
@@ -51,9 +50,7 @@ class Session:
         self._encoder = Encoder(parameters, self.epoch_ns)
         self._run = Run(engine, self._encoder, [*sinks, self.condition], duration=parameters.pacing.duration)
         self.recordings = RecordingControl(self._run, self.epoch_ns, node)
-        self.live = Live(self._run, mailbox, self._clock, self._run_ended)
-        self._clock_ns = round(1e9 / parameters.clock_rate) if parameters.clock_rate > 0.0 else 0
-        self._next_clock_ns = 0
+        self.live = Live(self._run, mailbox, self._run_ended)
         self._started = False
         self._cut_recording = False  # the end of the run, and not the operator, ended the recording
         # A disk may take its time: neither the engine nor whoever serves the operator waits for it.
@@ -168,23 +165,23 @@ class Session:
     def save_checkpoint(self) -> str:
         """Write the state of this moment to ``checkpoint.path``."""
         path = self._checkpoint_path()
-        saved = self.live.call(lambda: checkpoints.take(self._run.engine))
-        checkpoints.save(path, saved)
-        taken_ns = saved.checkpoint["sample"] * self.parameters.solver.sample_interval_ns
+        taken = self.live.call(self._run.checkpoint)
+        checkpoint.save(path, taken)
+        taken_ns = taken.sample * self.parameters.solver.sample_interval_ns
         return f"saved {path}, taken at {taken_ns * 1e-9:.9g} s"
 
     def restore_checkpoint(self) -> str:
-        """Go on from the state in ``checkpoint.path``."""
+        """Resume from the state in ``checkpoint.path``; simulated time goes on."""
         path = self._checkpoint_path()
-        saved = checkpoints.load(path)
-        parameters = checkpoints.continued(saved, self.parameters)
-        require_resumable(saved.checkpoint)
+        stored = checkpoint.load(path)
+        parameters = checkpoint.continued(stored, self.parameters)
+        require_resumable(stored.checkpoint)
 
-        def restore() -> None:
+        def resume() -> None:
             self.live.change(parameters)
-            self._run.restore(saved.checkpoint, str(path))
+            self._run.resume(stored.checkpoint, str(path))
 
-        return f"restored {path}{self._restart(restore)}"
+        return f"restored {path}{self._restart(resume)}"
 
     def _restart(self, begin: Callable[[], None]) -> str:
         """Put the run anew where ``begin`` does; record anew if its end had closed the recording."""
@@ -221,12 +218,6 @@ class Session:
         """Publish and record what the model is, after whatever changed it."""
         text = model_info.describe(self.parameters, self.epoch_ns, self._node)
         self.live.post(lambda: [self._encoder.model_info(self.now_ns, text)])
-
-    def _clock(self, chunk: Chunk) -> list[Record]:
-        if not self._clock_ns or not len(chunk) or chunk.last_ns < self._next_clock_ns:
-            return []
-        self._next_clock_ns = chunk.last_ns + self._clock_ns
-        return [self._encoder.clock(self.epoch_ns + chunk.last_ns)]
 
     def _run_ended(self) -> None:
         if not self.completed:

@@ -15,7 +15,7 @@ from gear_dynamics_ros.analysis.comparison import ANGLES, Comparison, Difference
 from gear_dynamics_ros.analysis.statistics import Envelope, Quantities
 from gear_dynamics_ros.analysis.summary import UNITS
 from gear_dynamics_ros.chunk import Commands, Samples
-from gear_dynamics_ros.recording import Event, Recording
+from gear_dynamics_ros.recording import OperatorEvent, Recording
 from gear_dynamics_ros.replay.pairing import Ends, Pair
 
 if TYPE_CHECKING:
@@ -318,7 +318,7 @@ def finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def event_block(event: Event) -> dict[str, Any]:
+def event_block(event: OperatorEvent) -> dict[str, Any]:
     """An event without the state that a restore brought."""
     return {
         "sample": event.sample,

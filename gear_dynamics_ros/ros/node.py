@@ -28,7 +28,7 @@ from gear_dynamics_ros.realtime.mailbox import Mailbox
 from gear_dynamics_ros.realtime.session import Session
 from gear_dynamics_ros.ros import diagnostics, node_parameters, node_topics
 from gear_dynamics_ros.ros.node_services import create_services
-from gear_dynamics_ros.simulation import checkpoints
+from gear_dynamics_ros.simulation import checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import advice
 from gear_dynamics_ros.simulation.sinks import ViewerSink
@@ -122,7 +122,7 @@ class GearboxNode(LifecycleNode):
     def _configure(self) -> None:
         self._warn(warnings(self.parameters))
         if self.parameters.checkpoint.path:
-            checkpoints.require_place(Path(self.parameters.checkpoint.path).absolute())
+            checkpoint.require_place(Path(self.parameters.checkpoint.path).absolute())
         warm_up(self.parameters, self._log.info)
         self._engine = Engine(self.parameters)
         self._mailbox = Mailbox(self.parameters, time.monotonic_ns())
