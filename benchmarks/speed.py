@@ -150,7 +150,7 @@ def seconds_recording(parameters: Parameters) -> float:
     engine = Engine(parameters)
     run(engine, WARM)
     with tempfile.TemporaryDirectory() as folder:
-        recorder = Recorder(Path(folder) / "bag", parameters, engine.checkpoint(), 0)
+        recorder = Recorder(Path(folder) / "bag", engine.checkpoint(), 0)
         encoder = Encoder(parameters, 0)
         began = time.perf_counter()
         for _ in range(round(RECORDED_TURN / parameters.solver.chunk)):

@@ -89,7 +89,7 @@ TOPICS: Final[dict[str, Topic]] = {
     "event": Topic(
         "~/event",
         STRING,
-        "JSON: sample, time (s), event, message, counters; parameters that changed, a restored checkpoint",
+        "JSON: sample, time (s), event, message, counters; parameters, checkpoint, commands that it brought",
         latched=True,
     ),
 }
@@ -102,7 +102,7 @@ FLOAT_COMMANDS: Final = {
 }
 JOINT_COMMAND: Final = "joint_command"
 COMMAND_TOPICS: Final = (*FLOAT_COMMANDS, JOINT_COMMAND)
-# What the encoder makes of a chunk, in that order; impacts only where some ended.
+# What the encoder makes of a chunk, in that order; impacts only where some ended, the clock at its rate.
 OF_A_CHUNK: Final = (
     "joint_states",
     "dte",
@@ -113,6 +113,7 @@ OF_A_CHUNK: Final = (
     "meshing_state",
     "energy",
     "impacts",
+    "clock",
     "waveform",
 )
 

@@ -93,7 +93,7 @@ def trace(geometry: str, step: float) -> Trace:
     engine = Engine(p)
     rows = []
     for _ in range(round(DURATION / p.solver.sample_interval) + 1):
-        state = engine.checkpoint()["state"]
+        state = engine.checkpoint().state
         sample = engine.advance(1)  # shows the state before its steps
         dte, half_backlash = float(sample["dte"][0]), float(sample["half_backlash"][0])
         rows.append((float(sample["time"][0]), *energies(p, state, dte, half_backlash)))

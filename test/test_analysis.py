@@ -184,7 +184,7 @@ def test_a_short_run_is_its_own_window() -> None:
 
 def record(path: Path, parameters: Parameters, chunks: int) -> None:
     engine, encoder = Engine(parameters), Encoder(parameters, 0)
-    recorder = Recorder(path, parameters, engine.checkpoint(), 0)
+    recorder = Recorder(path, engine.checkpoint(), 0)
     recorder.write([encoder.applied(engine.commands, 0)])
     for number in range(chunks):
         if number == chunks // 4:
@@ -249,7 +249,7 @@ def test_analyze_balances_the_energy_and_lists_the_impacts(bag: Path, tmp_path: 
 def test_a_recording_without_the_ledger_has_none(tmp_path: Path) -> None:
     parameters = Parameters()
     engine, encoder = Engine(parameters), Encoder(parameters, 0)
-    recorder = Recorder(tmp_path / "bag", parameters, engine.checkpoint(), 0)
+    recorder = Recorder(tmp_path / "bag", engine.checkpoint(), 0)
     for _ in range(8):
         records = encoder.chunk(engine.advance())
         recorder.write([record for record in records if record.topic not in ("energy", "impacts")])

@@ -45,7 +45,7 @@ def perform(path: Path, deeds: Sequence[Any], chosen: dict[str, Any], late: int 
     run = Run(engine, Encoder(parameters, 0), [])
     for number, deed in enumerate(deeds):
         if number == late:
-            recorder = Recorder(path, engine.parameters, run.checkpoint(), 0)
+            recorder = Recorder(path, run.checkpoint(), 0)
             run.attach(RecorderSink(recorder, run.engine))
         if isinstance(deed, dict):
             run.change(updated(engine.parameters, deed))
@@ -262,7 +262,8 @@ def test_bits_that_differ_without_a_value_need_no_figure(
 ) -> None:
     for name, zero in (("a", 0.0), ("b", -0.0)):
         parameters = Parameters.from_flat({"waveform_channels": ["time", "dte"]})
-        recorder = Recorder(tmp_path / name, parameters, {"sample": 0}, 0)
+        start = Engine(parameters).checkpoint()
+        recorder = Recorder(tmp_path / name, start, 0)
         chunk = Engine(Parameters()).advance(200)
         samples = chunk.samples.copy()
         samples[7, 1] = zero

@@ -67,7 +67,7 @@ def make_chunk(number: int) -> Chunk:
 
 
 def record(path: Path, chunks: int) -> Path:
-    recorder = Recorder(path, Parameters(), {"sample": 0}, 1_000_000_000)
+    recorder = Recorder(path, Engine(Parameters()).checkpoint(), 1_000_000_000)
     encoder = Encoder(Parameters(), 1_000_000_000)
     for number in range(chunks):
         recorder.write(encoder.chunk(make_chunk(number)))
@@ -87,7 +87,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run with commands, a changed parameter, a reset and impacts."""
     path = tmp_path_factory.mktemp("simulated") / "run"
     engine = Engine(Parameters())
-    recorder = Recorder(path, engine.parameters, engine.checkpoint(), 0)
+    recorder = Recorder(path, engine.checkpoint(), 0)
     run = Run(engine, Encoder(engine.parameters, 0), [RecorderSink(recorder, engine)])
     run.step()
     run.step(Commands(30.0, 55.0, 1700.0))
@@ -168,8 +168,8 @@ def test_a_window_of_some_channels(bag: Path, tmp_path: Path, suffix: str) -> No
 def test_the_time_of_a_sample_is_that_of_no_other_days_after_the_start(bag: Path) -> None:
     opened = recording.open(bag)
     for sample in np.random.default_rng(1).integers(10**9, 10**11, 1000).tolist():
-        assert opened.at(sample * 1e-5) == sample
-        assert opened.at((sample + 0.01) * 1e-5) == sample + 1
+        assert opened.sample_at(sample * 1e-5) == sample
+        assert opened.sample_at((sample + 0.01) * 1e-5) == sample + 1
 
 
 def test_parquet_tells_units_and_origin(bag: Path, tmp_path: Path) -> None:
@@ -214,11 +214,11 @@ def test_impacts(run: Path, tmp_path: Path) -> None:
     opened = recording.open(run)
     expected = opened.impacts()
     assert len(expected) > 1
-    middle = float(np.sort(expected[:, 1])[1])
+    middle = float(np.sort(expected["end"])[1])
     for suffix in FORMATS:
         export(opened, tmp_path / f"x.{suffix}", "impacts")
         found = np.column_stack(list(read(tmp_path / f"x.{suffix}").values()))
-        assert same_bits(found, expected)
+        assert same_bits(found, np.array(expected.tolist()))
         export(opened, tmp_path / f"later.{suffix}", "impacts", start=middle)
         assert len(read(tmp_path / f"later.{suffix}")["begin"]) == len(opened.impacts(middle))
     assert tuple(read(tmp_path / "x.csv")) == tuple(entry.name for entry in IMPACTS)
@@ -244,7 +244,7 @@ def test_events(run: Path, tmp_path: Path) -> None:
     assert [row["event"] for row in rows] == ["start", "parameters", "reset", "end"]
     assert rows[1]["parameters"] == '{"oil.viscosity": 0.03}'
     assert (rows[2]["sample"], rows[2]["time"], rows[2]["message"]) == (600, 0.006, "to begin, again")
-    assert [row["counted_steps"] for row in rows] == [event.counters["steps"] for event in opened.events]
+    assert [row["counted_steps"] for row in rows] == [event.counters.steps for event in opened.events]
     text = read_csv(tmp_path / "x.csv")
     assert {name: [str(row[name]) for row in rows] for name in rows[0]} == text
     with pytest.raises(UsageError, match="message, parameters are text: export this table as parquet or csv"):

@@ -16,7 +16,8 @@ from gear_dynamics_ros.parameters import Parameters, load_parameters, read_setti
 from gear_dynamics_ros.physics.advice import parameter_warnings
 from gear_dynamics_ros.realtime.engine_thread import warm_up
 from gear_dynamics_ros.recording.offline import engine_from_checkpoint, simulate_to_recording
-from gear_dynamics_ros.simulation import checkpoints
+from gear_dynamics_ros.simulation import checkpoint
+from gear_dynamics_ros.simulation.checkpoint import StoredCheckpoint
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.system.command import SIGNALLED, run_command
 from gear_dynamics_ros.system.processes import noted_signals
@@ -52,12 +53,12 @@ def simulate_main(argv: Sequence[str] | None = None) -> int:
 
 
 def _simulate(arguments: argparse.Namespace) -> int:
-    saved, parameters = _start(arguments)
+    stored, parameters = _start(arguments)
     duration = _duration(arguments.duration, parameters)
     for line in parameter_warnings(parameters):
         print(f"simulate: warning: {line}", file=sys.stderr)
     warm_up(parameters, lambda line: print(f"simulate: {line}", file=sys.stderr))
-    engine = Engine(parameters) if saved is None else engine_from_checkpoint(saved, parameters)
+    engine = Engine(parameters) if stored is None else engine_from_checkpoint(stored, parameters)
     samples = round(duration / parameters.solver.sample_interval)
     with noted_signals() as received, Progress("simulated", samples) as progress:
         outcome = simulate_to_recording(
@@ -81,16 +82,16 @@ def _simulate(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _start(arguments: argparse.Namespace) -> tuple[checkpoints.Saved | None, Parameters]:
+def _start(arguments: argparse.Namespace) -> tuple[StoredCheckpoint | None, Parameters]:
     """The checkpoint to start from, None for the start state, and the parameters to simulate with."""
     if arguments.from_checkpoint is None:
         return None, load_parameters(
             arguments.params_file or share_file("config/gearbox.yaml"), arguments.set
         )
-    saved = checkpoints.load(arguments.from_checkpoint)
-    parameters = updated(saved.parameters, read_settings(arguments.set))
-    checkpoints.require_fitting(saved, parameters)
-    return saved, parameters
+    stored = checkpoint.load(arguments.from_checkpoint)
+    parameters = updated(stored.checkpoint.parameters, read_settings(arguments.set))
+    checkpoint.require_fitting(stored, parameters)
+    return stored, parameters
 
 
 def _duration(wanted: float | None, parameters: Parameters) -> float:

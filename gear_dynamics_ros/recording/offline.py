@@ -13,7 +13,7 @@ from gear_dynamics_ros.messages.encoder import Encoder, Record
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.recording.sink import RecorderSink
-from gear_dynamics_ros.simulation import checkpoints
+from gear_dynamics_ros.simulation.checkpoint import StoredCheckpoint, continued
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
 
@@ -48,13 +48,13 @@ class StrictRecorderSink(RecorderSink):
             raise GearboxError(self.recorder.error)
 
 
-def engine_from_checkpoint(saved: checkpoints.Saved, parameters: Parameters) -> Engine:
-    """Engine in the state of ``saved`` at time 0, from which on ``parameters`` are in force.
+def engine_from_checkpoint(stored: StoredCheckpoint, parameters: Parameters) -> Engine:
+    """Engine in the state of ``stored`` at time 0, from which on ``parameters`` are in force.
 
     Raises UsageError if they don't fit the state, GearboxError if the state is damaged.
     """
-    engine = Engine(checkpoints.continued(saved, parameters))
-    engine.resume(saved.checkpoint)
+    engine = Engine(continued(stored, parameters))
+    engine.resume(stored.checkpoint)
     engine.change(parameters)
     return engine
 
@@ -73,7 +73,7 @@ def simulate_to_recording(
     or can't be made, GearboxError if recording fails.
     """
     parameters = engine.parameters
-    recorder = Recorder(output, parameters, engine.checkpoint(), EPOCH_NS)
+    recorder = Recorder(output, engine.checkpoint(), EPOCH_NS)
     sink = StrictRecorderSink(recorder, engine)
     run = Run(engine, Encoder(parameters, EPOCH_NS), [sink], duration=duration)
     try:

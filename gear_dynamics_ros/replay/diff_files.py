@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from gear_dynamics_ros.analysis.comparison import ChannelDifference
 from gear_dynamics_ros.analysis.summary import QUANTITY_UNITS
-from gear_dynamics_ros.recording import Event, Recording
+from gear_dynamics_ros.recording import OperatorEvent, Recording
 from gear_dynamics_ros.replay.diff import SAMPLES_AFTER, RecordingDifference, first_above, window_around
 from gear_dynamics_ros.replay.pairing import Ends
 from gear_dynamics_ros.system.files import output_file
@@ -149,7 +149,7 @@ def _finite_or_none(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _event_json(event: Event) -> dict[str, Any]:
+def _event_json(event: OperatorEvent) -> dict[str, Any]:
     """The event without the checkpoint that a restore brought."""
     return {
         "sample": event.sample,

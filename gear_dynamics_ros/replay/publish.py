@@ -10,8 +10,8 @@ from typing import Any, TypeAlias
 
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.events import CHANGE, RESET, RESTORE
-from gear_dynamics_ros.recording.reader import Event, Recording
+from gear_dynamics_ros.events import CHANGE, RESET, RESTORE, OperatorEvent
+from gear_dynamics_ros.recording.reader import Recording
 
 # Parameters that are commands too: a recording has their changes among its commands.
 COMMAND_PARAMETERS = frozenset(f"operation.{name}" for name in Commands._fields)
@@ -111,10 +111,10 @@ def skipped_by_script(recording: Recording) -> Counter[str]:
 
 def starts_at_start_state(recording: Recording) -> bool:
     """Whether the recording's first sample is the first after a start or a reset."""
-    return int(recording.start["state"]["steps"]) == 0
+    return bool(recording.start.state.get("steps") == 0)
 
 
-def _script(recording: Recording, events: Sequence[Event]) -> LockstepScript:
+def _script(recording: Recording, events: Sequence[OperatorEvent]) -> LockstepScript:
     first, end = recording.first_sample, recording.end_sample
     if first == end:
         raise UsageError(f"'{recording.path}' has no samples: nothing to play")
@@ -124,7 +124,7 @@ def _script(recording: Recording, events: Sequence[Event]) -> LockstepScript:
         if first <= event.sample < end:
             actions[event.sample].extend(_actions(event))
     commands = {max(sample, first): commands for sample, commands in recording.commands if sample < end}
-    in_force = Commands(**recording.start["commands"])
+    in_force = recording.start.commands
     steps: list[ScriptStep] = []
     for sample in sorted({first} | actions.keys() | commands.keys()):
         # A reset sets the commands to those of the gearbox's parameters: repeat the commands in force.
@@ -135,7 +135,7 @@ def _script(recording: Recording, events: Sequence[Event]) -> LockstepScript:
     return LockstepScript((end - first) * interval_ns, tuple(steps))
 
 
-def _actions(event: Event) -> list[ScriptAction]:
+def _actions(event: OperatorEvent) -> list[ScriptAction]:
     if event.kind == RESET:
         return [ResetAction()]
     if event.kind == CHANGE:
@@ -144,7 +144,7 @@ def _actions(event: Event) -> list[ScriptAction]:
     return []
 
 
-def _events(recording: Recording, kind: str) -> list[Event]:
+def _events(recording: Recording, kind: str) -> list[OperatorEvent]:
     first, end = recording.first_sample, recording.end_sample
     return [event for event in recording.events if event.kind == kind and first <= event.sample < end]
 

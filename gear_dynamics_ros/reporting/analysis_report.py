@@ -12,7 +12,7 @@ from gear_dynamics_ros.analysis.statistics import Envelope, Statistics, derived_
 from gear_dynamics_ros.chunk import Samples
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.events import RESET, RESTORE
-from gear_dynamics_ros.recording import Event, Recording
+from gear_dynamics_ros.recording import OperatorEvent, Recording
 from gear_dynamics_ros.reporting.windows import change_times, choose_window, whole_span
 from gear_dynamics_ros.system.files import output_file
 
@@ -120,7 +120,7 @@ def _describe(analysis: RecordingAnalysis) -> dict[str, Any]:
     }
 
 
-def _event_to_json(event: Event) -> dict[str, Any]:
+def _event_to_json(event: OperatorEvent) -> dict[str, Any]:
     """The event without the checkpoint that a restore brought, which stays in the recording."""
     entries = event._asdict()
     del entries["checkpoint"]
@@ -133,7 +133,7 @@ def _energy_balance(recording: Recording) -> dict[str, Any] | None:
     resets = [event.sample for event in recording.events if event.kind in (RESET, RESTORE)]
     balance = ledger.EnergyLedger(resets)
     for time_ns, rows in recording.rows("energy"):
-        balance.add(recording.sample(time_ns) + 1, rows[0])
+        balance.add(recording.sample_of(time_ns) + 1, rows[0])
     return balance.to_json(recording.parameters.solver.sample_interval, recording.parameters)
 
 

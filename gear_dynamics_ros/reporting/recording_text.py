@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gear_dynamics_ros.recording import Event, Recording
+from gear_dynamics_ros.recording import OperatorEvent, Recording
 from gear_dynamics_ros.recording.parts import PartFile
 
 
@@ -49,5 +49,5 @@ def _part_text(bag: Recording, part: PartFile) -> str:
     )
 
 
-def _event_text(event: Event) -> str:
+def _event_text(event: OperatorEvent) -> str:
     return event.message or ", ".join(f"{name} = {value}" for name, value in event.parameters.items())

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from gear_dynamics_ros.recording.recover import PartReport, Report, Span
+from gear_dynamics_ros.recording.recover import RecoveredPart, Recovery, SampleRange
 
 
-def recovery_lines(report: Report) -> Iterator[str]:
+def recovery_lines(report: Recovery) -> Iterator[str]:
     """What was kept and lost in each file and altogether."""
     yield f"{report.source}: recovered to {report.target}"
     for part in report.parts:
@@ -23,7 +23,7 @@ def recovery_lines(report: Report) -> Iterator[str]:
     yield _verdict(report)
 
 
-def _state(part: PartReport) -> str:
+def _state(part: RecoveredPart) -> str:
     spoilt = _spoilt([part])
     left_out = f"; left out as spoilt: {', '.join(spoilt)}" if spoilt else ""
     if part.whole:
@@ -34,13 +34,13 @@ def _state(part: PartReport) -> str:
     return f"breaks off at byte {part.break_at}: {behind}{left_out}"
 
 
-def _kept(of: PartReport | Report, report: Report) -> str:
+def _kept(of: RecoveredPart | Recovery, report: Recovery) -> str:
     if of.span is None:
         return f"{of.messages} messages, no samples"
     return f"{of.messages} messages, {of.samples} samples, {_times(of.span, report)}"
 
 
-def _spoilt(parts: Sequence[PartReport]) -> list[str]:
+def _spoilt(parts: Sequence[RecoveredPart]) -> list[str]:
     counts = {
         "chunk": sum(part.spoilt_chunks for part in parts),
         "attachment": sum(part.spoilt_attachments for part in parts),
@@ -49,13 +49,13 @@ def _spoilt(parts: Sequence[PartReport]) -> list[str]:
     return [f"{count} {what}{'s' if count > 1 else ''}" for what, count in counts.items() if count]
 
 
-def _times(span: Span, report: Report) -> str:
+def _times(span: SampleRange, report: Recovery) -> str:
     """First and last sample with their times; if there are samples, their interval is known."""
     first, last = (sample * (report.sample_interval_ns or 0) / 1e9 for sample in (span.first, span.end - 1))
     return f"{span.first} to {span.end - 1} ({first:.6f} s to {last:.6f} s)"
 
 
-def _verdict(report: Report) -> str:
+def _verdict(report: Recovery) -> str:
     if report.whole:
         return "nothing was lost"
     tail = sum(part.tail for part in report.parts)

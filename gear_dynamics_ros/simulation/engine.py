@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +31,8 @@ from gear_dynamics_ros.parameters import (
     updated,
 )
 from gear_dynamics_ros.physics import derived, kernel
+from gear_dynamics_ros.simulation.checkpoint import Checkpoint, require_running
 
-CHECKPOINT_FORMAT = 2
 IMPACTS_A_CALL = 256
 
 
@@ -171,35 +170,34 @@ class Engine:
         """Energy that the mesh has lost since the start or the last reset, J, as of the last call."""
         return float(self._state["mesh_loss"][0])
 
-    def checkpoint(self) -> dict[str, Any]:
-        """Everything that decides the future, as JSON keeps it exactly."""
-        return {
-            "format": CHECKPOINT_FORMAT,
-            "sample": self.sample,
-            "status": int(self.status),
-            "commands": self.commands._asdict(),
-            "state": {name: self._state[name][0].tolist() for name in _STATE_NAMES},
-        }
+    def checkpoint(self) -> Checkpoint:
+        """Everything that decides the future, before the next sample."""
+        return Checkpoint(
+            sample=self.sample,
+            status=self.status,
+            commands=self.commands,
+            state={name: self._state[name][0].tolist() for name in _STATE_NAMES},
+            parameters=self.parameters,
+        )
 
-    def restore(self, checkpoint: Mapping[str, Any]) -> None:
-        """Go on from ``checkpoint`` at its sample, with the parameters that were in force there.
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Take the state and the time of ``checkpoint``, whose parameters must be in force here.
 
-        Raises GearboxError, changing nothing, if it can't be one.
+        Raises GearboxError, changing nothing, if the state can't be one.
         """
-        self._take(_read_checkpoint(checkpoint))
+        self._state = _state(checkpoint)
+        self.sample, self.status, self.commands = checkpoint.sample, checkpoint.status, checkpoint.commands
 
-    def resume(self, checkpoint: Mapping[str, Any]) -> None:
-        """Go on from the state of ``checkpoint`` while simulated time goes on too.
+    def resume(self, checkpoint: Checkpoint) -> None:
+        """Take the state of ``checkpoint`` alone: simulated time goes on, and so do the parameters in force.
 
-        All comes out as after ``restore``, at other times. Raises GearboxError, changing nothing, if it can't
-        be one, or is of a run that had ended.
+        Everything comes out as after ``restore``, at other times. Raises GearboxError, changing nothing, if
+        the state can't be one, or is of a run that had ended.
         """
-        found = _read_resumable(checkpoint)
-        found.state["impact_time"] += (self.sample - found.sample) * self._interval_ns / 1e9
-        self._take(found._replace(sample=self.sample))
-
-    def _take(self, found: _Checkpoint) -> None:
-        self.sample, self.status, self.commands, self._state = found
+        require_resumable(checkpoint)
+        state = _state(checkpoint)
+        state["impact_time"] += (self.sample - checkpoint.sample) * self._interval_ns / 1e9
+        self._state, self.status, self.commands = state, checkpoint.status, checkpoint.commands
 
     def _reason(self) -> str:
         if self.status is Status.OVER_SPEED:
@@ -218,40 +216,20 @@ class Engine:
         return ""
 
 
-def require_resumable(checkpoint: Mapping[str, Any]) -> None:
+def require_resumable(checkpoint: Checkpoint) -> None:
     """Raise GearboxError where ``Engine.resume`` would."""
-    _read_resumable(checkpoint)
-
-
-class _Checkpoint(NamedTuple):
-    sample: int
-    status: Status
-    commands: Commands
-    state: NDArray[Any]
+    require_running(checkpoint)
+    _state(checkpoint)
 
 
 _STATE_NAMES = kernel.STATE.names or ()
 
 
-def _read_resumable(checkpoint: Mapping[str, Any]) -> _Checkpoint:
-    found = _read_checkpoint(checkpoint)
-    if found.status is not Status.RUNNING:
-        raise GearboxError("the checkpoint is of a run that had ended: take an earlier one")
-    return found
-
-
-def _read_checkpoint(checkpoint: Mapping[str, Any]) -> _Checkpoint:
+def _state(checkpoint: Checkpoint) -> NDArray[Any]:
+    state = derived.aligned_zeros((1,), kernel.STATE)
     try:
-        form = checkpoint["format"]
-        if form != CHECKPOINT_FORMAT:
-            raise GearboxError(
-                f"the checkpoint has format {form}, this version reads {CHECKPOINT_FORMAT}: "
-                "use the version that wrote it"
-            )
-        state = derived.aligned_zeros((1,), kernel.STATE)
         for name in _STATE_NAMES:
-            state[name] = checkpoint["state"][name]
-        commands = Commands(**{name: float(value) for name, value in checkpoint["commands"].items()})
-        return _Checkpoint(int(checkpoint["sample"]), Status(checkpoint["status"]), commands, state)
-    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
+            state[name] = checkpoint.state[name]
+    except (KeyError, OverflowError, TypeError, ValueError) as error:
         raise GearboxError(f"the checkpoint lacks or spoils an entry: {error!r}") from error
+    return state

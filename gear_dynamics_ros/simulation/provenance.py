@@ -8,12 +8,9 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-import numba
 import numpy as np
-from llvmlite import binding
 
 from gear_dynamics_ros import __version__
-from gear_dynamics_ros.simulation.engine import kernel_hash
 
 
 class Origin(NamedTuple):
@@ -29,6 +26,12 @@ class Origin(NamedTuple):
 @cache
 def present() -> Origin:
     """Of this process."""
+    # Here, because whoever only reads recordings need not load the compiler.
+    import numba
+    from llvmlite import binding
+
+    from gear_dynamics_ros.simulation.engine import kernel_hash
+
     features = binding.get_host_cpu_features().flatten()
     digest = hashlib.sha256(features.encode()).hexdigest()[:8]
     llvm = ".".join(map(str, binding.llvm_version_info))

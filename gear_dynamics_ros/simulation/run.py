@@ -18,11 +18,18 @@ from gear_dynamics_ros.events import (
     RESET,
     RESTORE,
     START,
+    TIMEOUT,
 )
 from gear_dynamics_ros.messages.encoder import Encoder, Record
-from gear_dynamics_ros.parameters import Parameters, differences
+from gear_dynamics_ros.parameters import OperationParameters, Parameters, differences
+from gear_dynamics_ros.simulation.checkpoint import Checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.sinks import Sink
+
+
+def commands_of_timeout(operation: OperationParameters) -> Mapping[str, float]:
+    """Fields of Commands, with their values, that a time-out puts in force: none where it holds them."""
+    return {"drive_torque": 0.0, "load_torque": 0.0} if operation.on_timeout == "release" else {}
 
 
 class Run:
@@ -102,15 +109,35 @@ class Run:
             self._note_commands()
             self.note(CHANGE, parameters=changed)
 
-    def restore(self, checkpoint: Mapping[str, Any], message: str = "") -> None:
+    def resume(self, checkpoint: Checkpoint, message: str = "") -> None:
         """Go on from the state of ``checkpoint`` while simulated time goes on, as ``Engine.resume`` does.
+
+        Writes an event ``restore``, as operators know it, with the whole checkpoint.
 
         Raises GearboxError, changing nothing, if it can't be one, or is of a run that had ended.
         """
         self.engine.resume(checkpoint)
         self._end = ""
         self._note_commands()
-        self.note(RESTORE, message, checkpoint=checkpoint)
+        self.note(RESTORE, message, checkpoint=checkpoint.to_tree())
+
+    @property
+    def unreleased(self) -> bool:
+        """Whether torques are in force that a time-out would release."""
+        in_force = self.engine.commands
+        released = commands_of_timeout(self.engine.parameters.operation)
+        return any(getattr(in_force, name) != value for name, value in released.items())
+
+    def time_out(self) -> None:
+        """Tell that no command came in time, and release the torques where operation.on_timeout says so."""
+        operation = self.engine.parameters.operation
+        released = commands_of_timeout(operation)
+        if released:
+            self.engine.command(self.engine.commands._replace(**released))
+            self._note_commands()
+        outcome = "torques released" if released else "commands held"
+        details = {"commands": released} if released else {}
+        self.note(TIMEOUT, f"no command for {operation.command_timeout:g} s: {outcome}", **details)
 
     def note(self, kind: str, message: str = "", **details: Mapping[str, Any]) -> None:
         """Write an event that happens before the next sample, with entries of its own."""
@@ -138,7 +165,7 @@ class Run:
         if sink in self._newcomers:
             self._newcomers.remove(sink)
 
-    def checkpoint(self) -> dict[str, Any]:
+    def checkpoint(self) -> Checkpoint:
         """State before the next sample."""
         return self.engine.checkpoint()
 
