@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.physics import derived, kernel
+from gear_dynamics_ros.physics import kernel
+from gear_dynamics_ros.physics.constants import Excitations, excitation_table, kernel_constants
 from gear_dynamics_ros.signals import CHANNELS, COLUMN, Status
 
 PROGRAM = Path(__file__).resolve().parent / "plain" / "gearbox.c"
@@ -148,7 +149,7 @@ class PlainC:
         self._library = library(flags)
         self._interval_ns = parameters.solver.sample_interval_ns
         self._sample = 0
-        table = derived.excitations(parameters)
+        table = excitation_table(parameters)
         constants = _constants(parameters, table)
         count = np.count_nonzero(table.waves[kernel.ORDER])
         orders = table.waves[kernel.ORDER, :count].copy()
@@ -234,9 +235,9 @@ def step_ns(parameters: Parameters) -> tuple[float, float, float]:
     return float(of_program), float(of_engine), float(np.median(turns[:, 1] / turns[:, 0]))
 
 
-def _constants(parameters: Parameters, table: derived.Excitations) -> Constants:
-    """What derived.constants holds, field by field: its layout is the kernel's own affair."""
-    record = derived.constants(parameters, table)[0]
+def _constants(parameters: Parameters, table: Excitations) -> Constants:
+    """What kernel_constants holds, field by field: its layout is the kernel's own affair."""
+    record = kernel_constants(parameters, table)[0]
     constants = Constants()
     for name in _FIELDS:
         values = record[name]

@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.messages import Encoder
 from gear_dynamics_ros.parameters import Parameters, load
-from gear_dynamics_ros.physics import derived, kernel
+from gear_dynamics_ros.physics import kernel
+from gear_dynamics_ros.physics.constants import excitation_table, kernel_constants
 from gear_dynamics_ros.physics.lanes import pointer, store
 from gear_dynamics_ros.recording.writer import Recorder
 
@@ -181,8 +182,8 @@ def costs(parameters: Parameters) -> Costs:
     """Of the kernel's parts, called one after the other, each on what the one before left."""
     engine = Engine(parameters)
     run(engine, WARM)
-    table = derived.excitations(parameters)
-    constants = derived.constants(parameters, table)
+    table = excitation_table(parameters)
+    constants = kernel_constants(parameters, table)
     points, state = engine._points, engine._state
     kernel.look(constants, state, points, *table)
     evaluations, excitations, excitations_on = _loops()

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.parameters import Operation, Parameters, differences, require_changeable, updated
-from gear_dynamics_ros.physics import derived, kernel
+from gear_dynamics_ros.physics import kernel
+from gear_dynamics_ros.physics.constants import aligned_zeros, excitation_table, kernel_constants
 from gear_dynamics_ros.signals import CHANNELS, COLUMN, ENERGIES, IMPACTS, Chunk, Commands, Counters, Status
 
 CHECKPOINT_FORMAT = 2
@@ -31,8 +32,8 @@ class Engine:
 
     def __init__(self, parameters: Parameters) -> None:
         self.parameters = parameters
-        self._excitations = derived.excitations(parameters)
-        self._constants = derived.constants(parameters, self._excitations)
+        self._excitations = excitation_table(parameters)
+        self._constants = kernel_constants(parameters, self._excitations)
         self._interval_ns = parameters.solver.sample_interval_ns
         wanted = max(COLUMN[name] for name in parameters.waveform_channels)
         self._columns = len(CHANNELS) if wanted < len(CHANNELS) else len(COLUMN)
@@ -46,8 +47,8 @@ class Engine:
         operation = self.parameters.operation
         self.commands = Commands(operation.drive_torque, operation.load_torque, operation.speed)
         self.status = Status.RUNNING
-        self._points = derived.aligned_zeros((3,), kernel.POINT)
-        self._state = derived.aligned_zeros((1,), kernel.STATE)
+        self._points = aligned_zeros((3,), kernel.POINT)
+        self._state = aligned_zeros((1,), kernel.STATE)
         state = self._state
         if operation.initial == "touching":
             r1, r2 = self._constants["base_radius"][0]
@@ -77,8 +78,8 @@ class Engine:
         require_changeable(old, parameters)
         # A -0.0 for a 0.0 counts as no difference, and must make none to the bits either.
         new = updated(old, differences(old, parameters))
-        excitations = derived.excitations(new)
-        constants = derived.constants(new, excitations)
+        excitations = excitation_table(new)
+        constants = kernel_constants(new, excitations)
         stored = kernel.look_before(self._constants, self._state, self._points, *self._excitations)
         self.parameters, self._constants, self._excitations = new, constants, excitations
         self._hand_over(old.operation, new.operation)
@@ -231,7 +232,7 @@ def _read_checkpoint(checkpoint: Mapping[str, Any]) -> _Checkpoint:
                 f"the checkpoint has format {form}, this version reads {CHECKPOINT_FORMAT}: "
                 "use the version that wrote it"
             )
-        state = derived.aligned_zeros((1,), kernel.STATE)
+        state = aligned_zeros((1,), kernel.STATE)
         for name in _STATE_NAMES:
             state[name] = checkpoint["state"][name]
         commands = Commands(**{name: float(value) for name, value in checkpoint["commands"].items()})

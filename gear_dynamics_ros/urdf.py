@@ -18,7 +18,7 @@ from gear_dynamics_ros.cli.common import add_settings, guarded
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.messages import bearing_frame
 from gear_dynamics_ros.parameters import NODE, Parameters, load, specifications
-from gear_dynamics_ros.physics.derived import base_radii
+from gear_dynamics_ros.physics.constants import base_radii
 from gear_dynamics_ros.resources import share_file
 from gear_dynamics_ros.topics import TOPICS, resolve
 

@@ -17,7 +17,8 @@ from scipy.optimize import brentq, root
 
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.physics import derived, kernel
+from gear_dynamics_ros.physics import kernel
+from gear_dynamics_ros.physics.constants import aligned_zeros, base_radii, excitation_table, kernel_constants
 from gear_dynamics_ros.physics.restitution import damping_factor
 from gear_dynamics_ros.physics.surface import fractal_surface
 from gear_dynamics_ros.signals import Commands
@@ -211,9 +212,9 @@ def restitution() -> Iterator[Measurement]:
 
 def look(p: Parameters, state: NDArray[Any]) -> np.void:
     """All that the kernel evaluates at ``state``, without excitation."""
-    table = derived.excitations(p)
-    points = derived.aligned_zeros((3,), kernel.POINT)
-    constants = derived.constants(p, table)
+    table = excitation_table(p)
+    points = aligned_zeros((3,), kernel.POINT)
+    constants = kernel_constants(p, table)
     kernel.look(constants, state, points, table.waves, np.zeros_like(table.amplitudes))
     point: np.void = points[kernel.HERE]
     return point
@@ -221,7 +222,7 @@ def look(p: Parameters, state: NDArray[Any]) -> np.void:
 
 def loaded_state(p: Parameters, offset: float) -> NDArray[Any]:
     """Drive flank touching, each centre ``offset`` along the line of action, there in contact."""
-    state = derived.aligned_zeros((1,), kernel.STATE)
+    state = aligned_zeros((1,), kernel.STATE)
     state["drive_torque"], state["load_torque"] = p.operation.drive_torque, p.operation.load_torque
     state["speed"], state["impact_speed"] = p.operation.speed, p.bearings.minimum_impact_speed
     shift_centres(p, state, -offset, offset)
@@ -242,7 +243,7 @@ def shift_centres(p: Parameters, state: NDArray[Any], first: float, second: floa
 def mode_frequencies(p: Parameters, state: NDArray[Any], fixed_centres: bool = False) -> Vector:
     """Frequencies in Hz of (u, s1, s2), s the centres' displacements along the line of action."""
     along = np.array([math.sin(p.gears.pressure_angle), math.cos(p.gears.pressure_angle)])
-    r1, r2 = derived.base_radii(p)
+    r1, r2 = base_radii(p)
 
     def reduced(shift: Vector) -> Vector:
         moved = state.copy()
@@ -324,14 +325,14 @@ def mean_mesh_force() -> Iterator[Measurement]:
             engine.advance(samples)
             impulse = engine.checkpoint()["state"]["mesh_impulse"] - before
             mean = impulse / (samples * p.solver.sample_interval)
-            expected = p.operation.drive_torque / derived.base_radii(p)[0]
+            expected = p.operation.drive_torque / base_radii(p)[0]
             yield relative(f"mean mesh force over 1 s, {model}, {name}", mean, expected, 5e-4, "N")
 
 
 def vibration_energy(p: Parameters, state: dict[str, Any]) -> tuple[float, float]:
     """Conserved energy and vibration energy (kinetic and elastic) in J of the undamped gear pair."""
     gears, bearings = p.gears, p.bearings
-    r1, r2 = derived.base_radii(p)
+    r1, r2 = base_radii(p)
     reach = r1 + r2
     (x1, x2), (y1, y2), u = state["x"], state["y"], state["u"]
     (vx1, vx2), (vy1, vy2), (omega1, omega2) = state["vx"], state["vy"], state["omega"]
@@ -403,7 +404,7 @@ class BacklashOscillator:
     def __init__(self, start: float) -> None:
         half_backlash, stiffness = 25e-6, 3.0e8
         probe = flat(QUIET, {})
-        r1, _ = derived.base_radii(probe)
+        r1, _ = base_radii(probe)
         teeth, inertia = probe.gears.driving.teeth, probe.gears.driving.inertia
         self.natural = math.sqrt(stiffness * 2.0 * r1**2 / inertia)
         self.per_speed = teeth / self.natural

@@ -19,7 +19,7 @@ from gear_dynamics_ros.cli import analyze
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.messages import Encoder
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.physics.derived import base_radii
+from gear_dynamics_ros.physics.constants import base_radii
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.samples import Samples
 from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN

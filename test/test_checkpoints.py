@@ -17,7 +17,7 @@ from gear_dynamics_ros.cli.simulate import main as simulate
 from gear_dynamics_ros.engine import Engine, kernel_hash
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.parameters import Parameters, specifications, updated
-from gear_dynamics_ros.physics import derived
+from gear_dynamics_ros.physics.constants import excitation_table, kernel_constants
 from gear_dynamics_ros.signals import Commands
 
 LIGHT = {"operation.drive_torque": 3.0, "operation.load_torque": 3.0}
@@ -142,8 +142,8 @@ def test_what_does_not_decide_the_physics_stays_with_who_goes_on(file: Path) -> 
 
 def test_whatever_the_kernel_is_told_decides_the_physics() -> None:
     def told(parameters: Parameters) -> bytes:
-        table = derived.excitations(parameters)
-        numbers = (derived.constants(parameters, table), table.waves, table.amplitudes)
+        table = excitation_table(parameters)
+        numbers = (kernel_constants(parameters, table), table.waves, table.amplitudes)
         return b"".join(part.tobytes() for part in numbers)
 
     plain = Parameters.from_flat({"operation.initial": "rest", "model": "traditional"})

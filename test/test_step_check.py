@@ -10,7 +10,8 @@ import pytest
 
 from gear_dynamics_ros.cli.simulate import main as simulate_main
 from gear_dynamics_ros.parameters import Parameters, load
-from gear_dynamics_ros.physics import derived, kernel, step_check
+from gear_dynamics_ros.physics import kernel, step_check
+from gear_dynamics_ros.physics.constants import hertz_factor
 
 CONFIG = Path(__file__).parent.parent / "config"
 STEADY = {"mesh.stiffness_cos": [0.0], "model": "traditional"}
@@ -54,7 +55,7 @@ def test_the_hertz_contact_carries_the_static_load() -> None:
 
     def force(depth: float) -> float:
         bearing = p.bearings.driving
-        return derived.hertz_factor(p, bearing.length) * depth**1.5 / math.sqrt(bearing.clearance + depth)
+        return hertz_factor(p, bearing.length) * depth**1.5 / math.sqrt(bearing.clearance + depth)
 
     assert force(depth) == pytest.approx(load, rel=1e-8)
     slope = (force(depth * 1.0001) - force(depth * 0.9999)) / (0.0002 * depth)

@@ -23,7 +23,7 @@ from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.messages import Encoder, deserialize
 from gear_dynamics_ros.node_topics import quality
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.physics.derived import base_radii
+from gear_dynamics_ros.physics.constants import base_radii
 from gear_dynamics_ros.topics import JOINT_STATE, TOPICS, WRENCH, resolve
 from gear_dynamics_ros.urdf import main, urdf
 

@@ -11,7 +11,7 @@ from gear_dynamics_ros.analysis.sections import mesh_frequency, poincare_points
 from gear_dynamics_ros.analysis.spectra import SHORTEST, amplitude_spectrum, strongest_lines
 from gear_dynamics_ros.analysis.statistics import Statistics, bearing_force_name, quantities
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.physics.derived import base_radii
+from gear_dynamics_ros.physics.constants import base_radii
 from gear_dynamics_ros.samples import GEARS, Samples
 from gear_dynamics_ros.signals import CHANNELS, ENERGIES
 

@@ -106,7 +106,7 @@ def aligned_zeros(shape: tuple[int, ...], dtype: Any = np.float64) -> NDArray[An
     return aligned
 
 
-def excitations(parameters: Parameters) -> Excitations:
+def excitation_table(parameters: Parameters) -> Excitations:
     """Table of surfaces, stiffness and static error, (16)-(18), (24), (25); equal orders share a row."""
     turns = hunting_turns(parameters)
     teeth = parameters.gears.driving.teeth
@@ -143,7 +143,7 @@ def excitations(parameters: Parameters) -> Excitations:
     return Excitations(waves, amplitudes)
 
 
-def constants(parameters: Parameters, table: Excitations) -> NDArray[Any]:
+def kernel_constants(parameters: Parameters, table: Excitations) -> NDArray[Any]:
     """The kernel's constants; every derived number of the model is computed here."""
     gears, mesh, operation = parameters.gears, parameters.mesh, parameters.operation
     r1, r2 = base_radii(parameters)
