@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.physics import kernel
 from gear_dynamics_ros.physics.constants import Excitations, excitation_table, kernel_constants
+from gear_dynamics_ros.physics.kernel.waves import ORDER
 from gear_dynamics_ros.signals import CHANNELS, COLUMN, Status
 
 PROGRAM = Path(__file__).resolve().parent / "plain" / "gearbox.c"
@@ -151,8 +151,8 @@ class PlainC:
         self._sample = 0
         table = excitation_table(parameters)
         constants = _constants(parameters, table)
-        count = np.count_nonzero(table.waves[kernel.ORDER])
-        orders = table.waves[kernel.ORDER, :count].copy()
+        count = np.count_nonzero(table.waves[ORDER])
+        orders = table.waves[ORDER, :count].copy()
         amplitudes = np.ascontiguousarray(table.amplitudes[:count].swapaxes(0, 1))
         self._handle = self._library.gearbox_new(constants, len(orders), _data(orders), _data(amplitudes))
         if self._handle is None:

@@ -12,7 +12,7 @@ from gear_dynamics_ros.parameters import Bearing, Parameters
 from gear_dynamics_ros.physics.kernel.records import CACHE_LINE, CONSTANTS, EXCITATIONS, SERIES_TERMS
 from gear_dynamics_ros.physics.kernel.waves import ERROR, ORDER, ROW_BLOCK, STIFFNESS, SURFACE, WAVE_ROWS
 from gear_dynamics_ros.physics.restitution import damping_factor
-from gear_dynamics_ros.physics.surface import Surface, fractal_surface
+from gear_dynamics_ros.physics.surface import FractalProfile, fractal_surface
 
 
 class Excitations(NamedTuple):
@@ -80,11 +80,11 @@ def _product(left: list[float], right: list[float]) -> list[float]:
     return [math.fsum(left[i] * right[k - i] for i in range(k + 1)) for k in range(len(left))]
 
 
-def surfaces(parameters: Parameters) -> tuple[Surface, Surface]:
+def surfaces(parameters: Parameters) -> tuple[FractalProfile, FractalProfile]:
     """Tooth surfaces of driving and driven gear."""
     gears, surface = parameters.gears, parameters.surface
 
-    def of(teeth: int, side: str) -> Surface:
+    def of(teeth: int, side: str) -> FractalProfile:
         own = getattr(surface, side)
         return fractal_surface(
             teeth=teeth,

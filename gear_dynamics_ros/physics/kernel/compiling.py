@@ -24,7 +24,7 @@ inlined = njit(fastmath={"contract"}, error_model="numpy", forceinline=True)
 uncontracted = njit(error_model="numpy")
 
 
-def entry_point(function: FunctionType) -> Any:
+def entry_point(function: Any) -> Any:
     """Of a function that Python calls: cached on disk, without Python's lock."""
     # The same function with a closure, which the cache hashes, of one variable that the function never reads.
     code = function.__code__.replace(co_freevars=("cache_key",))

@@ -127,7 +127,7 @@ def _pointer(typing: Any, array: types.Type) -> Any:
     return types.CPointer(types.float64)(array), code
 
 
-def _copy(typing: Any, source: types.KernelRecord, target: types.KernelRecord) -> Any:
+def _copy(typing: Any, source: types.Record, target: types.Record) -> Any:
     """All of one record into another of its type."""
 
     def code(context: Any, builder: ir.IRBuilder, sig: Any, args: tuple[ir.Value, ...]) -> ir.Value:
