@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from gear_dynamics_ros import __version__
-from gear_dynamics_ros.engine import Engine, kernel_hash
+from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.files import replace_text
+from gear_dynamics_ros.origin import model_hash
 from gear_dynamics_ros.parameters import Parameters, differences, specifications, updated
 from gear_dynamics_ros.signals import Status
 
@@ -44,7 +45,7 @@ class Saved(NamedTuple):
     parameters: Parameters  # in force
     checkpoint: dict[str, Any]  # as ``Engine.resume`` takes it
     version: str  # of the package that wrote it
-    kernel_hash: str
+    model_hash: str  # of its source, see ``Provenance``
     history: str = ""  # in a recording: SHA-256 of what led to it; empty elsewhere
 
 
@@ -67,7 +68,7 @@ def take(engine: Engine) -> Saved:
 
 def of_this_version(parameters: Parameters, checkpoint: dict[str, Any], history: str = "") -> Saved:
     """A state of this process's own."""
-    return Saved(parameters, checkpoint, __version__, kernel_hash(), history)
+    return Saved(parameters, checkpoint, __version__, model_hash(), history)
 
 
 def to_text(saved: Saved) -> str:
@@ -83,7 +84,7 @@ def from_text(text: str, name: str) -> Saved:
             Parameters.from_flat(_mapping(content["parameters"])),
             _mapping(content["checkpoint"]),
             str(content["version"]),
-            str(content["kernel_hash"]),
+            str(content["model_hash"]),
             str(content.get("history", "")),
         )
     except UsageError as error:
@@ -125,12 +126,12 @@ def load(path: Path) -> Saved:
 def require_fitting(saved: Saved, running: Parameters) -> None:
     """Raise UsageError unless a gearbox with the parameters ``running`` can go on from ``saved``.
 
-    It can't under another kernel, nor where parameters differ that decide the physics and are fixed.
+    It can't under another model, nor where parameters differ that decide the physics and are fixed.
     """
-    if saved.kernel_hash != kernel_hash():
+    if saved.model_hash != model_hash():
         raise UsageError(
-            f"the checkpoint is of kernel {saved.kernel_hash[:12]} (version {saved.version}), this is "
-            f"{kernel_hash()[:12]} ({__version__}): use the version that wrote it, or save a new one"
+            f"the checkpoint is of model {saved.model_hash[:12]} (version {saved.version}), this is "
+            f"{model_hash()[:12]} ({__version__}): use the version that wrote it, or save a new one"
         )
     before = running.to_flat()
     for name, value in differences(running, saved.parameters).items():

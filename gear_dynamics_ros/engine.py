@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,19 +12,12 @@ from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.parameters import Operation, Parameters, differences, require_changeable, updated
 from gear_dynamics_ros.physics.constants import aligned_zeros, excitation_table, kernel_constants
 from gear_dynamics_ros.physics.kernel import entry
-from gear_dynamics_ros.physics.kernel.compiling import KERNEL_HASH
 from gear_dynamics_ros.physics.kernel.records import CALL, POINT, STATE
 from gear_dynamics_ros.physics.kernel.substeps import IMPACTS_PER_STEP
 from gear_dynamics_ros.signals import CHANNELS, COLUMN, ENERGIES, IMPACTS, Chunk, Commands, Counters, Status
 
 CHECKPOINT_FORMAT = 3
 IMPACTS_A_CALL = 256
-
-
-@cache
-def kernel_hash() -> str:
-    """SHA-256 of the kernel's source, as hexadecimal text."""
-    return KERNEL_HASH
 
 
 class Engine:

@@ -17,13 +17,13 @@ from threading import Event as Flag
 from threading import Lock
 from typing import Final, NamedTuple, TypeAlias, TypeVar
 
-from gear_dynamics_ros import checkpoints, origin
+from gear_dynamics_ros import checkpoints
 from gear_dynamics_ros.commands import RELEASED, changes_meant
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.fidelity import Difference, State, compare_event, compare_message, compare_state
 from gear_dynamics_ros.messages import Encoder
-from gear_dynamics_ros.origin import Origin
+from gear_dynamics_ros.origin import provenance_differences
 from gear_dynamics_ros.parameters import parse, updated
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.parts import Stored
@@ -131,8 +131,7 @@ def verify(
 
 def origins(recording: Recording) -> list[str]:
     """What of the program and the machine differs between the recording and this process, a line each."""
-    run = recording.run._asdict()
-    return origin.differences(Origin(**{name: run[name] for name in Origin._fields}))
+    return provenance_differences(recording.run.provenance)
 
 
 class _Counter:

@@ -108,7 +108,7 @@ TOPICS: Final[dict[str, Topic]] = {
         True,
         1,
         True,
-        "JSON: version, kernel hash, parameters in force, columns and units, joints, frames, epoch of stamps",
+        "JSON: version, hashes, parameters in force, columns and units, joints, frames, epoch of stamps",
     ),
     "event": Topic(
         "~/event",

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 from gear_dynamics_ros import __version__, checkpoints, recording, replay
 from gear_dynamics_ros.cli.simulate import main as simulate
-from gear_dynamics_ros.engine import Engine, kernel_hash
+from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.origin import model_hash
 from gear_dynamics_ros.parameters import Parameters, specifications, updated
 from gear_dynamics_ros.physics.constants import excitation_table, kernel_constants
 from gear_dynamics_ros.signals import Commands
@@ -49,7 +50,7 @@ def test_a_fresh_engine_goes_on_bit_for_bit(
 
     saved = checkpoints.load(tmp_path / "state.json")
     assert saved.parameters == engine.parameters
-    assert (saved.version, saved.kernel_hash) == (__version__, kernel_hash())
+    assert (saved.version, saved.model_hash) == (__version__, model_hash())
     fresh = Engine(saved.parameters)
     fresh.resume(saved.checkpoint)
     again = fresh.advance(500)
@@ -102,8 +103,8 @@ def test_an_ended_run_is_not_saved() -> None:
         b"\xff\xfe",
         b"[]",
         b"{}",
-        b'{"version": "1", "kernel_hash": "", "parameters": {}, "checkpoint": 3}',
-        b'{"version": "1", "kernel_hash": "", "parameters": {"gears.modul": 1.0}, "checkpoint": {}}',
+        b'{"version": "1", "model_hash": "", "parameters": {}, "checkpoint": 3}',
+        b'{"version": "1", "model_hash": "", "parameters": {"gears.modul": 1.0}, "checkpoint": {}}',
     ],
 )
 def test_what_is_no_checkpoint_is_refused_in_one_line(tmp_path: Path, content: bytes) -> None:
@@ -116,11 +117,11 @@ def test_what_is_no_checkpoint_is_refused_in_one_line(tmp_path: Path, content: b
         checkpoints.load(tmp_path / "other.json")
 
 
-def test_another_kernel_or_another_gearbox_is_refused(file: Path) -> None:
+def test_another_model_or_another_gearbox_is_refused(file: Path) -> None:
     saved = checkpoints.load(file)
     checkpoints.require_fitting(saved, saved.parameters)
-    with pytest.raises(UsageError, match=r"kernel 000000000000 \(version 0\.1\)"):
-        checkpoints.require_fitting(saved._replace(kernel_hash="0" * 64, version="0.1"), saved.parameters)
+    with pytest.raises(UsageError, match=r"model 000000000000 \(version 0\.1\)"):
+        checkpoints.require_fitting(saved._replace(model_hash="0" * 64, version="0.1"), saved.parameters)
     for name, value in {"gears.driven.teeth": 41, "model": "improved", "solver.step": 5e-7}.items():
         with pytest.raises(UsageError, match=rf"^{name} = {value}|^{name} = '{value}'"):
             checkpoints.require_fitting(saved, updated(saved.parameters, {name: value}))

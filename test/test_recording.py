@@ -24,9 +24,9 @@ from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 
 from gear_dynamics_ros import __version__, recording
-from gear_dynamics_ros.engine import kernel_hash
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages import Encoder
+from gear_dynamics_ros.origin import current_provenance
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.recording import mcap_writer, writer
 from gear_dynamics_ros.recording.writer import Recorder
@@ -109,7 +109,8 @@ def test_keeps_what_is_needed_to_run_it_again(bag: Path) -> None:
     assert read.parameters == Parameters()
     assert read.start == start_at(0)
     assert read.version == __version__
-    assert read.kernel_hash == kernel_hash()
+    assert read.run.provenance == current_provenance()
+    assert read.kernel_hash == current_provenance().kernel_hash
     assert (read.epoch_ns, read.sample_interval_ns, read.node) == (EPOCH_NS, 10_000, "/gearbox")
 
 

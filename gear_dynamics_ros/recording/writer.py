@@ -20,7 +20,7 @@ from gear_dynamics_ros import __version__, checkpoints
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.files import replace_text, sync_folder
 from gear_dynamics_ros.messages import Record
-from gear_dynamics_ros.origin import present
+from gear_dynamics_ros.origin import current_provenance
 from gear_dynamics_ros.parameters import Parameters, dump
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.history import TOLD, History
@@ -91,12 +91,11 @@ class Recorder:
         node: str = "/gearbox",
     ) -> None:
         self.path = Path(os.path.abspath(path))
-        origin = present()
         self._run = RunMetadata(
+            provenance=current_provenance(),
             epoch_ns=epoch_ns,
             node=node,
             sample_interval_ns=parameters.solver.sample_interval_ns,
-            **origin._asdict(),
         )
         self._topics = layout.recorded_topics(parameters, node)
         self._sequences: Counter[str] = Counter()

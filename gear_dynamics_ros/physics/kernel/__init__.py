@@ -2,6 +2,7 @@
 
 ``records``   record types that are passed around
 ``columns``   columns and codes of what is written
+``sources``   the hash of this folder
 ``compiling`` how functions are compiled and cached
 ``lanes``     vectors of both gears, or of eight waves
 ``series``    elementary functions as polynomials

@@ -8,13 +8,15 @@ this folder, or of the columns it writes to, makes another key, and the function
 from __future__ import annotations
 
 import hashlib
-from pathlib import Path
 from types import CellType, FunctionType
 from typing import Any
 
 from numba import njit
 
 from gear_dynamics_ros.physics.kernel.columns import FROZEN
+from gear_dynamics_ros.physics.kernel.sources import kernel_hash
+
+CACHE_KEY = hashlib.sha256(f"{kernel_hash()} {FROZEN}".encode()).hexdigest()
 
 # Contraction to fused multiply-add is allowed, reassociation is not: the bits follow from the source.
 compiled = njit(fastmath={"contract"}, error_model="numpy")
@@ -30,15 +32,3 @@ def entry_point(function: Any) -> Any:
     code = function.__code__.replace(co_freevars=("cache_key",))
     keyed = FunctionType(code, function.__globals__, closure=(CellType(CACHE_KEY),))
     return njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")(keyed)
-
-
-def _source_hash() -> str:
-    digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        content = path.read_bytes()
-        digest.update(f"{path.name} {len(content)}\n".encode() + content)
-    return digest.hexdigest()
-
-
-KERNEL_HASH = _source_hash()  # SHA-256 of the source of this folder
-CACHE_KEY = hashlib.sha256(f"{KERNEL_HASH} {FROZEN}".encode()).hexdigest()
