@@ -20,7 +20,7 @@ from gear_dynamics_ros.chunk import Samples
 from gear_dynamics_ros.cli.analyze import analyze_main
 from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.physics.derived import base_radii
+from gear_dynamics_ros.physics.constants import base_radii
 from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.simulation.engine import Engine
 

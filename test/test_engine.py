@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import json
 import math
 import subprocess
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +18,6 @@ from gear_dynamics_ros.channels import CHANNELS
 from gear_dynamics_ros.chunk import Commands, Status
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.physics import kernel, lanes
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
 
@@ -268,12 +265,6 @@ def test_a_slowly_begun_contact_pressed_in_later_stays_exact(pressed: Checkpoint
         runs.append(np.hypot(chunk["driving_contact_force_x"], chunk["driving_contact_force_y"]))
     assert runs[1].max() > 1000.0
     np.testing.assert_allclose(runs[0], runs[1], atol=1.0)
-
-
-def test_the_kernel_knows_which_lanes_it_was_compiled_with() -> None:
-    """numba's cache sees a change of kernel.py only."""
-    source = Path(lanes.__file__).read_bytes()
-    assert hashlib.sha256(source).hexdigest() == kernel.LANES_SHA256, "put this digest into kernel.py"
 
 
 def test_impacts_are_listed_whatever_the_chunk(rattling: Parameters) -> None:

@@ -38,7 +38,7 @@ from gear_dynamics_ros.recording import recorder as recorder_module
 from gear_dynamics_ros.recording.mcap import writer
 from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint
-from gear_dynamics_ros.simulation.engine import kernel_hash
+from gear_dynamics_ros.simulation.provenance import current_provenance
 from gear_dynamics_ros.topics import TOPICS, resolve
 
 COUNTERS = Counters(0, 0, 0, 0, 0)
@@ -110,7 +110,8 @@ def test_keeps_what_is_needed_to_run_it_again(bag: Path) -> None:
     assert read.parameters == Parameters()
     assert read.start == start_at(0)
     assert read.version == __version__
-    assert read.kernel_hash == kernel_hash()
+    assert read.run.provenance == current_provenance()
+    assert read.kernel_hash == current_provenance().kernel_hash
     assert (read.epoch_ns, read.sample_interval_ns, read.node) == (EPOCH_NS, 10_000, "/gearbox")
 
 

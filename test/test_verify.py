@@ -354,8 +354,8 @@ def test_the_digests_are_those_that_the_documentation_describes(bag: Path) -> No
                 if channel.topic not in NOT_TOLD
             ]
             (run,) = (record.metadata for record in reader.iter_metadata() if record.name != "rosbag2")
-        names = ("version", "kernel_hash", "epoch_ns", "node", "sample_interval_ns")
-        lines = [f"{name}={run[name]}\n" for name in (*names, "processor", "compiler", "libraries")]
+        names = ("version", "kernel_hash", "model_hash", "processor", "compiler", "libraries")
+        lines = [f"{name}={run[name]}\n" for name in (*names, "epoch_ns", "node", "sample_interval_ns")]
         opening = numbered("".join(lines).encode())
         opening += numbered(attached["parameters.yaml"].data) + numbered(attached["start.json"].data)
         begin = int(json.loads(attached["start.json"].data)["checkpoint"]["sample"]) * 10_000
@@ -371,7 +371,9 @@ def test_the_digests_are_those_that_the_documentation_describes(bag: Path) -> No
         assert later[-1] == "end.json" and len(later) >= 2
 
 
-@pytest.mark.parametrize("name", ["version", "kernel_hash", "processor"])
+@pytest.mark.parametrize(
+    "name", ["version", "kernel_hash", "model_hash", "processor", "libraries", "epoch_ns"]
+)
 def test_an_altered_description_of_the_run_is_found(
     bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
@@ -559,7 +561,8 @@ def test_a_difference_is_told_with_both_values_and_what_else_differs(
 def test_another_processor_or_kernel_is_named(bag: Path) -> None:
     read = recording.open(bag)
     assert origins(read) == []
-    read.run = read.run._replace(processor="an abacus", kernel_hash="0" * 64)
+    other = read.run.provenance._replace(processor="an abacus", kernel_hash="0" * 64)
+    read.run = read.run._replace(provenance=other)
     kernel, processor = origins(read)
     assert kernel.startswith("kernel hash: recorded by 000")
     assert processor.startswith("processor: recorded by an abacus, this is ")
