@@ -18,7 +18,7 @@ from gear_dynamics_ros.parameters import Parameters, load, read_settings, update
 from gear_dynamics_ros.physics import step_check
 from gear_dynamics_ros.realtime.engine_thread import warm_up
 from gear_dynamics_ros.recording.recorder import Recorder
-from gear_dynamics_ros.recording.sink import RecorderSink
+from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.simulation import checkpoint
 from gear_dynamics_ros.simulation.checkpoint import StoredCheckpoint
 from gear_dynamics_ros.simulation.engine import Engine
@@ -74,7 +74,7 @@ def simulate(arguments: argparse.Namespace) -> int:
         stored = None
         parameters = load(arguments.params_file or share_file("config/gearbox.yaml"), arguments.set)
     else:
-        stored = checkpoint.load(arguments.from_checkpoint)
+        stored = checkpoint.load_checkpoint(arguments.from_checkpoint)
         parameters = updated(stored.checkpoint.parameters, read_settings(arguments.set))
         checkpoint.require_fitting(stored, parameters)
     duration = checked_duration(arguments.duration, parameters)

@@ -137,7 +137,7 @@ class Recording:
 
     def decoder(self) -> MessageDecoder:
         """Decoder of the messages, for one thread."""
-        return MessageDecoder(self.channel_names, self.parameters.joint_prefix)
+        return MessageDecoder(self.channel_names, self.parameters.joint_prefix, str(self.path))
 
     def waveform(self, first: int | None = None, end: int | None = None) -> NDArray[np.float64]:
         """Samples ``first`` to before ``end``, shape (n, channels), as far as the recording holds them.

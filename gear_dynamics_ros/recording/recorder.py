@@ -39,7 +39,7 @@ FLUSH_SECONDS: Final = 0.5
 _LATCHED: Final = tuple(key for key, topic in TOPICS.items() if topic.latched)
 
 
-class Stats(NamedTuple):
+class RecorderStats(NamedTuple):
     """How the recorder stands."""
 
     queued: int  # messages handed over, not yet written
@@ -127,10 +127,10 @@ class Recorder:
         return self._error
 
     @property
-    def stats(self) -> Stats:
+    def stats(self) -> RecorderStats:
         """Figures of this moment."""
         with self._changed:
-            return Stats(
+            return RecorderStats(
                 self._queued,
                 self._queued_bytes,
                 self._written,

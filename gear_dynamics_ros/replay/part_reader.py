@@ -11,6 +11,7 @@ from typing import NamedTuple, TypeAlias, TypeVar
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.events import OperatorEvent
+from gear_dynamics_ros.messages.decoder import MessageDecoder
 from gear_dynamics_ros.parameters import differences, parse
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.digest import TOLD, History
@@ -29,6 +30,7 @@ class RecordedChunk(NamedTuple):
     time_ns: int  # stamp
     channels: tuple[str, ...]  # of the waveform
     messages: Mapping[str, memoryview]  # CDR by key in TOPICS
+    decoder: MessageDecoder
 
 
 class AskedCommands(NamedTuple):
@@ -137,7 +139,7 @@ class PartReader:
                 return
             messages = {key: stored.data for key, stored in gathered.items()}
             channels = self._recording.channel_names
-            yield RecordedChunk(begin, samples, message.time_ns, channels, messages)
+            yield RecordedChunk(begin, samples, message.time_ns, channels, messages, decoder)
             gathered = {}
 
     def _events(self) -> Iterator[tuple[int, OperatorEvent]]:
