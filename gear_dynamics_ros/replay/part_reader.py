@@ -14,7 +14,7 @@ from gear_dynamics_ros.events import OperatorEvent
 from gear_dynamics_ros.messages.decoder import MessageDecoder
 from gear_dynamics_ros.parameters import differences, parse
 from gear_dynamics_ros.recording import layout
-from gear_dynamics_ros.recording.digest import TOLD, History
+from gear_dynamics_ros.recording.digest import TOLD, RunningDigest
 from gear_dynamics_ros.recording.parts import StoredMessage
 from gear_dynamics_ros.recording.reader import Recording
 from gear_dynamics_ros.topics import COMMAND_TOPICS, OF_A_CHUNK, TOPICS
@@ -109,7 +109,7 @@ class PartReader:
         """
         contents = [self.part.attachment(name) for name in opening]
         run = [self.part.run.to_lines()] if layout.START_ATTACHMENT in opening else []
-        found = History(*run, *contents)
+        found = RunningDigest(*run, *contents)
         for message in told:
             found.add(*message)
         return found.text()
