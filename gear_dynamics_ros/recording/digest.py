@@ -1,8 +1,8 @@
 """What led from one stored checkpoint to the next, as a digest that the next one carries.
 
-A re-simulation makes the samples anew; what people and programs did besides can't be made anew, only be kept
-from being altered: commands as they came, events, descriptions, reports, and entries of a checkpoint that nothing
-reads again.
+A re-simulation makes the samples again. It can't make again what people and programs did: commands as they
+came, events, descriptions, reports, and entries of a checkpoint that nothing reads again. The digest shows
+whether these were altered.
 """
 
 from __future__ import annotations
