@@ -56,7 +56,7 @@ class PartReader:
     @cached_property
     def told(self) -> Sequence[StoredMessage]:
         """The messages that no chunk made, in the order of the file, in memory."""
-        names = self._recording.names
+        names = self._recording.topic_names
         found = self.part.messages([names[key] for key in TOLD])
         # Of their own, or each would keep the whole chunk that it stands in.
         return [message._replace(data=memoryview(bytes(message.data))) for message in found]
@@ -85,7 +85,7 @@ class PartReader:
         """Key in TOPICS of what the part should repeat at its start, and does not; empty if none."""
         before = self._recording.parts[self.number - 1]
         for key, topic in TOPICS.items():
-            name = self._recording.names[key]
+            name = self._recording.topic_names[key]
             last = before.last_message(name) if topic.latched else None
             first = next(self.part.messages([name]), None) if last is not None else None
             if last is not None and (first is None or first.data != last.data):
@@ -120,7 +120,7 @@ class PartReader:
         Raises GearboxError where messages are not together as a chunk makes them.
         """
         path = self._recording.path
-        keys = {self._recording.names[key]: key for key in OF_A_CHUNK}
+        keys = {self._recording.topic_names[key]: key for key in OF_A_CHUNK}
         decoder = self._recording.decoder()
         gathered: dict[str, StoredMessage] = {}
         for message in self.part.messages(keys, self._recording.stamp_of(first)):
@@ -154,7 +154,7 @@ class PartReader:
 
     def _asked(self) -> Iterator[tuple[int, AskedCommands]]:
         """Commands as they came, at the samples from which they acted."""
-        keys = {self._recording.names[key]: key for key in COMMAND_TOPICS}
+        keys = {self._recording.topic_names[key]: key for key in COMMAND_TOPICS}
         for topic, time_ns, data in self.told:
             if topic in keys:
                 changes = self._decoder.changes(keys[topic], time_ns, data)
