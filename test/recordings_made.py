@@ -17,7 +17,7 @@ from gear_dynamics_ros.messages.cdr import message_class, serialize, stamp
 from gear_dynamics_ros.messages.encoder import Encoder, Record
 from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.recording.recorder import Recorder
-from gear_dynamics_ros.recording.sink import RecorderSink
+from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.topics import TOPICS, resolve

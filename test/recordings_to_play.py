@@ -10,7 +10,7 @@ from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.recording.recorder import Recorder
-from gear_dynamics_ros.recording.sink import RecorderSink
+from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
 

@@ -24,7 +24,7 @@ from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.realtime.engine_thread import Live
 from gear_dynamics_ros.realtime.mailbox import Mailbox
 from gear_dynamics_ros.recording.recorder import Recorder
-from gear_dynamics_ros.recording.sink import RecorderSink
+from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.replay.verify import verify_recording
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run

@@ -28,8 +28,13 @@ from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.recording.recorder import Recorder
-from gear_dynamics_ros.recording.sink import RecorderSink
-from gear_dynamics_ros.replay.pairing import BY_START, BY_TIME, pair, side_by_side
+from gear_dynamics_ros.recording.recorder_sink import RecorderSink
+from gear_dynamics_ros.replay.pairing import (
+    BY_START,
+    BY_TIME,
+    pair,
+    side_by_side,
+)
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
 

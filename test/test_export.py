@@ -26,10 +26,10 @@ from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters, dump_parameters, updated
 from gear_dynamics_ros.recording.export.formats import ROW_GROUP
-from gear_dynamics_ros.recording.export.write import export
+from gear_dynamics_ros.recording.export.write import export_table as export
 from gear_dynamics_ros.recording.reader import BLOCK_SAMPLES
 from gear_dynamics_ros.recording.recorder import Recorder
-from gear_dynamics_ros.recording.sink import RecorderSink
+from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
 
@@ -425,7 +425,7 @@ GROWTH = """
 import resource, sys
 from pathlib import Path
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.recording.export.write import export
+from gear_dynamics_ros.recording.export.write import export_table as export
 bag, folder, suffix = recording.open(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
 export(bag, folder / f"short.{suffix}", end=0.7)
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

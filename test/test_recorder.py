@@ -22,8 +22,8 @@ from gear_dynamics_ros.realtime.recording_control import RecordingControl
 from gear_dynamics_ros.realtime.session import Session
 from gear_dynamics_ros.recording import recorder as recorder_module
 from gear_dynamics_ros.recording.recorder import Recorder
+from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.recording.ring import Ring
-from gear_dynamics_ros.recording.sink import RecorderSink
 from gear_dynamics_ros.replay.verify import verify_recording
 from gear_dynamics_ros.simulation import checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
@@ -55,7 +55,7 @@ def test_checkpoints_lie_an_interval_apart_and_hold_what_a_checkpoint_file_does(
     assert list(part.checkpoints) == [3 * CHUNK, 6 * CHUNK, 9 * CHUNK]
     file = tmp_path / "file.json"
     file.write_bytes(part.attachment(part.checkpoints[6 * CHUNK]))
-    saved = checkpoint.load(file)
+    saved = checkpoint.load_checkpoint(file)
     engine = Engine(saved.checkpoint.parameters)
     engine.restore(saved.checkpoint)
     samples = recording.open(tmp_path / "bag").waveform()

@@ -87,7 +87,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
             recorder.write(halted)
             recorder.write([encoder.applied(SECOND, 20 * ROWS)])
         if number == 40:
-            recorder.split(start_at(40 * ROWS), parameters)
+            recorder.split(start_at(40 * ROWS, parameters))
         recorder.write(encoder.chunk(make_chunk(number)))
     recorder.write([encoder.event("end", 60 * ROWS, "as asked", COUNTERS)])
     recorder.close()

@@ -49,8 +49,8 @@ from gear_dynamics_ros.recording.mcap import writer
 from gear_dynamics_ros.recording.mcap.index import ending, read_index, read_metadata
 from gear_dynamics_ros.recording.mcap.records import encode, read_attachment, read_chunk
 from gear_dynamics_ros.recording.recorder import Recorder
+from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.recording.recover import Recovery, SampleRange, default_target, recover
-from gear_dynamics_ros.recording.sink import RecorderSink
 from gear_dynamics_ros.replay.verify import verify_recording
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
@@ -336,7 +336,7 @@ def test_times_in_the_head_of_a_chunk_are_set_right(bag: Path, tmp_path: Path) -
     (tmp_path / "times.mcap").write_bytes(content)
     report = recovered(tmp_path / "times.mcap", tmp_path / "out")
     assert report.whole
-    found = recording.open(tmp_path / "out").parts[0].found
+    found = recording.open(tmp_path / "out").parts[0].index
     times = [(index.message_start_time, index.message_end_time) for index in found.chunks]
     assert times == sorted(times) and times[-1][1] - EPOCH_NS <= SPLITS[0] * ROWS * INTERVAL_NS
 

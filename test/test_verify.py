@@ -28,8 +28,8 @@ from gear_dynamics_ros.messages.cdr import message_class, serialize
 from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.recording.recorder import Recorder
+from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.recording.ring import Ring
-from gear_dynamics_ros.recording.sink import RecorderSink
 from gear_dynamics_ros.replay.verify import origins, verify_recording
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run

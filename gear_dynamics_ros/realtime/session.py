@@ -166,14 +166,14 @@ class Session:
         """Write the state of this moment to ``checkpoint.path``."""
         path = self._checkpoint_path()
         taken = self.live.call(self._run.checkpoint)
-        checkpoint.save(path, taken)
+        checkpoint.save_checkpoint(path, taken)
         taken_ns = taken.sample * self.parameters.solver.sample_interval_ns
         return f"saved {path}, taken at {taken_ns * 1e-9:.9g} s"
 
     def restore_checkpoint(self) -> str:
         """Resume from the state in ``checkpoint.path``; simulated time goes on."""
         path = self._checkpoint_path()
-        stored = checkpoint.load(path)
+        stored = checkpoint.load_checkpoint(path)
         parameters = checkpoint.continued(stored, self.parameters)
         require_resumable(stored.checkpoint)
 

@@ -12,7 +12,7 @@ from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages.encoder import Encoder, Record
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.recording.recorder import Recorder
-from gear_dynamics_ros.recording.sink import RecorderSink
+from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.simulation.checkpoint import StoredCheckpoint, continued
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run

@@ -16,7 +16,7 @@ from gear_dynamics_ros.realtime.condition import Condition
 from gear_dynamics_ros.realtime.mailbox import Tally
 from gear_dynamics_ros.realtime.pacing import Pace
 from gear_dynamics_ros.realtime.session import Session
-from gear_dynamics_ros.recording.recorder import Stats
+from gear_dynamics_ros.recording.recorder import RecorderStats
 from gear_dynamics_ros.viewer import Viewer
 
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
@@ -41,7 +41,7 @@ class CommandHealth(NamedTuple):
 
 class RecorderHealth(NamedTuple):
     path: str
-    stats: Stats | None  # None where a recording was wanted and could not begin
+    stats: RecorderStats | None  # None where a recording was wanted and could not begin
     error: str | None
 
 
