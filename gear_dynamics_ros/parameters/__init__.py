@@ -1,5 +1,12 @@
 """What can be set: one tree of parameters for the node and all tools, in SI units. No ROS, no physics."""
 
+from gear_dynamics_ros.parameters.changes import (
+    ParameterChange,
+    change_to,
+    change_values,
+    differences,
+    updated,
+)
 from gear_dynamics_ros.parameters.tree import (
     NODE,
     Bearing,
@@ -9,15 +16,12 @@ from gear_dynamics_ros.parameters.tree import (
     Pacing,
     Parameters,
     Specification,
-    differences,
     dump,
     load,
     parse,
     read_settings,
     reference,
-    require_changeable,
     specifications,
-    updated,
 )
 
 __all__ = [
@@ -27,15 +31,17 @@ __all__ = [
     "Gears",
     "Operation",
     "Pacing",
+    "ParameterChange",
     "Parameters",
     "Specification",
+    "change_to",
+    "change_values",
     "differences",
     "dump",
     "load",
     "parse",
     "read_settings",
     "reference",
-    "require_changeable",
     "specifications",
     "updated",
 ]

@@ -557,31 +557,9 @@ def specifications() -> Mapping[str, Specification]:
     return dict(_rows(Parameters, ""))
 
 
-def differences(old: Parameters, new: Parameters) -> dict[str, Value]:
-    """Values of ``new`` that are not those of ``old``, by dotted name."""
-    before = old.to_flat()
-    return {name: value for name, value in new.to_flat().items() if value != before[name]}
-
-
-def updated(parameters: Parameters, values: Mapping[str, object]) -> Parameters:
-    """``parameters`` with ``values`` by dotted name. Raises UsageError as ``Parameters.from_flat`` does."""
-    return Parameters.from_flat({**parameters.to_flat(), **values})
-
-
 def read_settings(overrides: Iterable[str]) -> dict[str, Any]:
     """Values by dotted name of settings ``name=value``. Raises UsageError if one is none."""
     return dict(map(_read_override, overrides))
-
-
-def require_changeable(old: Parameters, new: Parameters) -> None:
-    """Raise UsageError where ``new`` differs from ``old`` in what is fixed while the gearbox runs."""
-    before = old.to_flat()
-    for name, value in differences(old, new).items():
-        if not specifications()[name].runtime:
-            raise UsageError(
-                f"{name} = {_text(before[name])} is fixed while the gearbox runs: "
-                f"start it anew with {name} = {_text(value)}"
-            )
 
 
 def load(path: str | Path, overrides: Iterable[str] = ()) -> Parameters:

@@ -24,7 +24,7 @@ from gear_dynamics_ros.chunk import (
     Status,
 )
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.parameters import Operation, Parameters, differences, require_changeable, updated
+from gear_dynamics_ros.parameters import Operation, ParameterChange, Parameters
 from gear_dynamics_ros.physics import derived, kernel
 
 CHECKPOINT_FORMAT = 2
@@ -77,17 +77,16 @@ class Engine:
         if not self._constants["governed"]:
             self._state["drive_torque"] = commands.drive_torque
 
-    def change(self, parameters: Parameters) -> None:
-        """Put ``parameters`` in force from the next sample on.
+    def change(self, change: ParameterChange) -> None:
+        """Put the parameters ``change.new`` in force from the next sample on.
 
         Drive torque, load torque and speed that differ become commands, the others stay in force. The
-        governor takes over and hands over at the drive torque in force. Raises UsageError, changing nothing,
-        where something differs that is fixed while the gearbox runs.
+        governor takes over and hands over at the drive torque in force. Raises GearboxError, changing
+        nothing, if ``change.old`` is no longer in force: something else changed the parameters meanwhile.
         """
-        old = self.parameters
-        require_changeable(old, parameters)
-        # A -0.0 for a 0.0 counts as no difference, and must make none to the bits either.
-        new = updated(old, differences(old, parameters))
+        old, new = change.old, change.new
+        if old is not self.parameters:
+            raise GearboxError("the parameters were changed meanwhile by something else: set them again")
         excitations = derived.excitations(new)
         constants = derived.constants(new, excitations)
         stored = kernel.look_before(self._constants, self._state, self._points, *self._excitations)
