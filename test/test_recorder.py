@@ -18,7 +18,7 @@ from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.realtime import recording_control
 from gear_dynamics_ros.realtime.mailbox import Mailbox
-from gear_dynamics_ros.realtime.recording_control import Recordings
+from gear_dynamics_ros.realtime.recording_control import RecordingControl
 from gear_dynamics_ros.realtime.session import Session
 from gear_dynamics_ros.recording import recorder as recorder_module
 from gear_dynamics_ros.recording.recorder import Recorder
@@ -222,7 +222,7 @@ def test_a_ring_writes_the_last_of_a_run_and_goes_on(tmp_path: Path) -> None:
     )
     engine = Engine(parameters)
     run = Run(engine, Encoder(parameters, 0))
-    recordings = Recordings(run, 0, "/cell/box")
+    recordings = RecordingControl(run, 0, "/cell/box")
     with pytest.raises(GearboxError, match="there is no ring"):
         recordings.cut()
     recordings.arm()
@@ -350,12 +350,12 @@ def test_a_recording_that_stopped_makes_way_for_another(session: Session, tmp_pa
         session.split()
     (tmp_path / "bag").mkdir()
     assert session.start_recording() == f"recording to {tmp_path / 'bag_2'}"
-    assert session.recorder_errors == [stopped.error]
+    assert session.recordings.errors == (stopped.error,)
     assert session.split() == "split"
     with pytest.raises(GearboxError, match="already recording to"):
         session.start_recording()
     assert session.end_recording().result() == f"recorded {tmp_path / 'bag_2'}"
-    assert session.recorder_errors == [stopped.error]
+    assert session.recordings.errors == (stopped.error,)
 
 
 def test_a_recording_begun_after_a_fault_goes_on_through_the_reset(tmp_path: Path) -> None:
@@ -378,7 +378,7 @@ def test_a_recording_begun_after_a_fault_goes_on_through_the_reset(tmp_path: Pat
     assert session.reset() == "back at the start state"
     assert ended.wait(60.0)
     session.finish("over")
-    assert session.recorder_errors == []
+    assert session.recordings.errors == ()
     for name in ("bag", "bag_2"):
         assert verify_recording(recording.open(tmp_path / name)).difference is None
 

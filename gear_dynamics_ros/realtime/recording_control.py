@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -17,8 +17,13 @@ from gear_dynamics_ros.simulation.run import Run
 T = TypeVar("T")
 
 
-class Recordings:
-    """Starts and ends recordings of ``run``; the first at ``recording.path``, later ones beside it."""
+class RecordingControl:
+    """Begins and ends the recordings of ``run``; the first at ``recording.path``, later ones beside it.
+
+    The only owner of what went wrong with any of them: ``errors``. ``begin``, ``split``, ``end`` and ``cut``
+    act between two chunks, on the thread that makes them; ``close`` and ``write`` wait for the disk and may
+    run on any other thread.
+    """
 
     def __init__(self, run: Run, epoch_ns: int, node: str) -> None:
         wanted = run.engine.parameters.recording
@@ -28,7 +33,17 @@ class Recordings:
         self._node = node
         self._sink: RecorderSink | None = None
         self._ring: Ring | None = None
-        self.refusal = ""  # why a recording that was wanted did not begin
+        self._errors: dict[str, None] = {}  # an ordered set; several threads add to it
+        self.refusal = ""  # why the recording that was wanted last did not begin
+        self.snapshot_path = ""  # of the last one written
+
+    @property
+    def errors(self) -> Sequence[str]:
+        """Everything that went wrong with recordings of this run, each line once, in order.
+
+        Recordings that could not begin, recorders that stopped, snapshots that could not be written.
+        """
+        return tuple(self._errors)
 
     @property
     def wanted(self) -> bool:
@@ -51,26 +66,24 @@ class Recordings:
         self._run.attach(self._ring)
 
     def begin(self, *, beside: bool) -> str:
-        """Record from the next sample on; returns where.
+        """Record from the next sample on; returns the path of the recording.
 
-        ``beside`` takes the first free of path, path_2, path_3, ... Raises UsageError if the path exists or
-        can't be made, GearboxError if there is none or a recording runs; ``refusal`` keeps why.
+        ``beside`` takes the first free of path, path_2, path_3, ... A recorder that stopped with an error
+        makes way. Raises UsageError if the path exists or can't be made, GearboxError if it can't be written;
+        ``errors`` and ``refusal`` keep why. Raises GearboxError if there is no path or a recording runs.
         """
         path = self._require_path()
+        self._drop_stopped()
         if self._sink is not None:
             raise GearboxError(f"already recording to {self._sink.recorder.path}: switch it off first")
-        engine = self._run.engine
-
-        def make(there: Path) -> Recorder:
-            return Recorder(there, engine.parameters, self._run.checkpoint(), self._epoch_ns, self._node)
-
         try:
-            recorder = _make_beside(path, make) if beside else make(path)
+            recorder = _make_beside(path, self._recorder) if beside else self._recorder(path)
         except GearboxError as error:
             self.refusal = str(error)
+            self._note(self.refusal)
             raise
         self.refusal = ""
-        self._sink = RecorderSink(recorder, engine)
+        self._sink = RecorderSink(recorder, self._run.engine)
         self._run.attach(self._sink)
         return str(recorder.path)
 
@@ -83,13 +96,20 @@ class Recordings:
         self._sink.split()
 
     def end(self) -> Recorder | None:
-        """Record no more; the caller closes what is returned."""
+        """Record no more; ``close`` finishes what is returned. None if nothing was recorded."""
         if self._sink is None:
             return None
         sink, self._sink = self._sink, None
         self._run.detach(sink)
         sink.conclude()
         return sink.recorder
+
+    def close(self, recorder: Recorder) -> Path:
+        """Finish a recording that has ended; returns its path. Raises GearboxError if it is not whole."""
+        recorder.close()
+        if recorder.error is not None:
+            raise GearboxError(recorder.error)
+        return recorder.path
 
     def cut(self) -> Excerpt:
         """What the ring holds now. Raises GearboxError if there is none."""
@@ -101,13 +121,34 @@ class Recordings:
         return self._ring.cut()
 
     def write(self, excerpt: Excerpt) -> Path:
-        """Make a recording of an excerpt, the first free of path, path_2, ...; returns where.
+        """Make a recording of an excerpt, the first free of path, path_2, ...; returns its path.
 
-        Takes as long as the disk does. Raises GearboxError if it can't be written.
+        Raises GearboxError if it can't be written; ``errors`` keeps why.
         """
-        return _make_beside(
-            self._require_path(), lambda path: excerpt.write(path, self._epoch_ns, self._node)
+        try:
+            path = _make_beside(
+                self._require_path(), lambda path: excerpt.write(path, self._epoch_ns, self._node)
+            )
+        except GearboxError as error:
+            self._note(str(error))
+            raise
+        self.snapshot_path = str(path)
+        return path
+
+    def _recorder(self, path: Path) -> Recorder:
+        run = self._run
+        return Recorder(
+            path, run.engine.parameters, run.checkpoint(), self._epoch_ns, self._node, report=self._note
         )
+
+    def _drop_stopped(self) -> None:
+        if self._sink is not None and self._sink.recorder.error is not None:
+            recorder = self.end()
+            if recorder is not None:
+                recorder.close()
+
+    def _note(self, error: str) -> None:
+        self._errors.setdefault(error)
 
     def _require_path(self) -> Path:
         if self._path is None:

@@ -18,7 +18,7 @@ from gear_dynamics_ros.realtime.condition import ConditionSink
 from gear_dynamics_ros.realtime.engine_thread import Live
 from gear_dynamics_ros.realtime.mailbox import Mailbox
 from gear_dynamics_ros.realtime.pacing import Pace
-from gear_dynamics_ros.realtime.recording_control import Recordings
+from gear_dynamics_ros.realtime.recording_control import RecordingControl
 from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.recording.ring import Excerpt
 from gear_dynamics_ros.simulation import checkpoints
@@ -50,14 +50,12 @@ class Session:
         self._ended = ended
         self._encoder = Encoder(parameters, self.epoch_ns)
         self._run = Run(engine, self._encoder, [*sinks, self.condition], duration=parameters.pacing.duration)
-        self.recordings = Recordings(self._run, self.epoch_ns, node)
+        self.recordings = RecordingControl(self._run, self.epoch_ns, node)
         self.live = Live(self._run, mailbox, self._clock, self._run_ended)
         self._clock_ns = round(1e9 / parameters.clock_rate) if parameters.clock_rate > 0.0 else 0
         self._next_clock_ns = 0
         self._started = False
         self._cut_recording = False  # the end of the run, and not the operator, ended the recording
-        self.recorder_errors: list[str] = []  # of recordings that are closed or never began
-        self.snapshot_path = ""  # of the last one written
         # A disk may take its time: neither the engine nor whoever serves the operator waits for it.
         self._writers = ThreadPoolExecutor(max_workers=1, thread_name_prefix="snapshot")
 
@@ -95,19 +93,15 @@ class Session:
         """End the run and close every sink."""
         self.live.stop()
         self._writers.shutdown()
-        recorder = self.recordings.current
         try:
             self._run.finish(reason)
         finally:
-            try:
-                self._run.close()
-            finally:
-                self._note_errors(recorder)
+            self._run.close()
 
     def begin_recording(self, *, beside: bool) -> str:
         """Record, or arm the ring, as the parameters want; returns what was done, in words.
 
-        A recording that can't begin leaves the run without one: ``recorder_errors`` then says why.
+        A recording that can't begin leaves the run without one: ``recordings.errors`` then says why.
         """
         if self.parameters.recording.mode == "ring":
             self.recordings.arm()
@@ -156,7 +150,6 @@ class Session:
 
     def start_recording(self) -> str:
         """Record from now on, beside earlier recordings."""
-        self._drop_the_stopped()
         path = self.live.call(lambda: self.recordings.begin(beside=True))
         self._cut_recording = False
         self._tell()
@@ -206,38 +199,17 @@ class Session:
         self._tell()
         return more
 
-    def _drop_the_stopped(self) -> None:
-        """Make way for another recording where an error stopped the present one."""
-        stopped = self.recordings.current
-        if stopped is not None and stopped.error is not None:
-            self._note_errors(stopped)
-            self.live.call(self.recordings.end)
-            stopped.close()
-
     def _record(self, *, beside: bool) -> str:
         try:
             return f"recording to {self.recordings.begin(beside=beside)}"
         except GearboxError as error:
-            self.recorder_errors.append(str(error))
             return f"not recorded: {error}"
 
     def _close(self, recorder: Recorder | None) -> str:
-        if recorder is None:
-            return "nothing was recorded"
-        recorder.close()
-        self._note_errors(recorder)
-        if recorder.error is not None:
-            raise GearboxError(recorder.error)
-        return f"recorded {recorder.path}"
+        return "nothing was recorded" if recorder is None else f"recorded {self.recordings.close(recorder)}"
 
     def _write(self, excerpt: Excerpt) -> str:
-        try:
-            path = self.recordings.write(excerpt)
-        except GearboxError as error:
-            self.recorder_errors.append(str(error))
-            raise
-        self.snapshot_path = str(path)
-        return f"recorded {path}"
+        return f"recorded {self.recordings.write(excerpt)}"
 
     def _checkpoint_path(self) -> Path:
         path = self.parameters.checkpoint.path
@@ -263,15 +235,12 @@ class Session:
 
     def _keep_the_fault(self) -> None:
         """Finish the recording of a run that ended by a fault; write what the ring holds of it."""
-        recorder = self.recordings.end()
-        if recorder is not None:
-            self._cut_recording = True
-            recorder.close()
-            self._note_errors(recorder)
-        if self.recordings.ring is not None:
-            with contextlib.suppress(GearboxError):  # which _write has noted
-                self._write(self.recordings.cut())
-
-    def _note_errors(self, recorder: Recorder | None) -> None:
-        if recorder is not None and recorder.error is not None:
-            self.recorder_errors.append(recorder.error)
+        # ``recordings.errors`` keeps what goes wrong here.
+        with contextlib.suppress(GearboxError):
+            recorder = self.recordings.end()
+            if recorder is not None:
+                self._cut_recording = True
+                self.recordings.close(recorder)
+        with contextlib.suppress(GearboxError):
+            if self.recordings.ring is not None:
+                self.recordings.write(self.recordings.cut())

@@ -12,7 +12,7 @@ import os
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -77,7 +77,8 @@ class _StoppedError(Exception):
 class Recorder:
     """Records one run into the folder ``path``, made here; ``start`` is the checkpoint it starts from.
 
-    ``parameters`` are those in force there.
+    ``parameters`` are those in force there. ``report`` is called once, on the recorder's thread, with the
+    error that stops it.
 
     Raises UsageError if ``path`` exists or can't be made, GearboxError if the first file can't be opened or
     less than ``recording.minimum_free`` is free there.
@@ -90,7 +91,9 @@ class Recorder:
         start: Mapping[str, Any],
         epoch_ns: int,
         node: str = "/gearbox",
+        report: Callable[[str], None] = lambda error: None,
     ) -> None:
+        self._report = report
         self.path = Path(os.path.abspath(path))
         origin = present()
         self._run = RunMetadata(
@@ -325,6 +328,7 @@ class Recorder:
             self._queue.clear()
             self._queued = self._queued_bytes = 0
             self._changed.notify_all()
+        self._report(self._error)
 
     def _salvage(self) -> None:
         """Finish, as far as the disk allows, the file that broke off."""

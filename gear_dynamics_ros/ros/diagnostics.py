@@ -102,7 +102,7 @@ def _ring_health(session: Session) -> RingHealth | None:
     if ring is None:
         return None
     held = ring.samples * session.parameters.solver.sample_interval_ns / 1e9
-    return RingHealth(held, ring.size, session.snapshot_path)
+    return RingHealth(held, ring.size, session.recordings.snapshot_path)
 
 
 class Surface(NamedTuple):

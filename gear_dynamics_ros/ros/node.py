@@ -164,7 +164,7 @@ class GearboxNode(LifecycleNode):
         if session.recordings.wanted:
             done = session.begin_recording(beside=self._recorded_before)
             self._recorded_before = True
-            if not session.recorder_errors:
+            if not session.recordings.errors:
                 self._log.info(done)
         self._tell_recorder_errors(session)
         return session
@@ -192,7 +192,7 @@ class GearboxNode(LifecycleNode):
         else:
             self._log.error(f"run ended: {session.live.ended}; call ~/reset to recover")
             if session.recordings.ring is not None:
-                self._log.info(f"what led to it is in {session.snapshot_path or 'no recording'}")
+                self._log.info(f"what led to it is in {session.recordings.snapshot_path or 'no recording'}")
 
     def _active_session(self) -> Session:
         if self._session is None or not self._session.live.active:
@@ -260,9 +260,7 @@ class GearboxNode(LifecycleNode):
     # Diagnostics
 
     def _tell_recorder_errors(self, session: Session) -> None:
-        recorder = session.recordings.current
-        current = [recorder.error] if recorder is not None and recorder.error is not None else []
-        for error in (*session.recorder_errors, *current):
+        for error in session.recordings.errors:
             if error not in self.recorder_errors:
                 self.recorder_errors.append(error)
                 self._log.error(error)
