@@ -34,7 +34,7 @@ from gear_dynamics_ros.chunk import (
 from gear_dynamics_ros.cli.replay import main as replay_main
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.messages.encoder import Encoder
-from gear_dynamics_ros.parameters import Parameters, dump, updated
+from gear_dynamics_ros.parameters import Parameters, change_values, dump
 from gear_dynamics_ros.recording.export.formats import ROW_GROUP
 from gear_dynamics_ros.recording.export.write import export
 from gear_dynamics_ros.recording.reader import BLOCK_SAMPLES
@@ -101,7 +101,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = Run(engine, Encoder(engine.parameters, 0), [RecorderSink(recorder, engine)])
     run.step()
     run.step(Commands(30.0, 55.0, 1700.0))
-    run.change(updated(engine.parameters, {"oil.viscosity": 0.03}))
+    run.change(change_values(engine.parameters, {"oil.viscosity": 0.03}))
     run.step()
     run.reset("to begin, again")
     run.step(Commands(30.0, -20.0, 1500.0))

@@ -14,7 +14,7 @@ from gear_dynamics_ros.chunk import Chunk
 from gear_dynamics_ros.cli.common import SIGNALLED, Progress, add_settings, guarded
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.encoder import Encoder, Record
-from gear_dynamics_ros.parameters import Parameters, load, read_settings, updated
+from gear_dynamics_ros.parameters import Parameters, change_to, load, read_settings, updated
 from gear_dynamics_ros.physics import step_check
 from gear_dynamics_ros.realtime.engine_thread import warm_up
 from gear_dynamics_ros.recording.recorder import Recorder
@@ -22,6 +22,7 @@ from gear_dynamics_ros.recording.sink import RecorderSink
 from gear_dynamics_ros.simulation import checkpoints
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
+from gear_dynamics_ros.simulation.run_state import Ending
 from gear_dynamics_ros.system.processes import noted_signals
 from gear_dynamics_ros.system.share import share_file
 
@@ -91,7 +92,7 @@ def simulate(arguments: argparse.Namespace) -> int:
             run.step()  # opens the files, which is not part of the pace told below
             warm, began = engine.sample, time.perf_counter()
             with Progress("simulated", round(duration / interval)) as progress:
-                while not (run.end or received):
+                while not (run.state.ended or received):
                     run.step()
                     progress(engine.sample)
             if received:
@@ -104,10 +105,13 @@ def simulate(arguments: argparse.Namespace) -> int:
         f"{arguments.output}: {engine.sample} samples, {engine.sample * interval:g} s at {pace:.2f} times "
         "real time, recording included"
     )
-    if run.tripped:
-        raise GearboxError(run.end)
+    if run.state.ending is Ending.TRIPPED:
+        raise GearboxError(run.state.reason)
     if received:
-        print(f"simulate: broken off by {run.end}; the recording is complete up to there", file=sys.stderr)
+        print(
+            f"simulate: broken off by {run.state.reason}; the recording is complete up to there",
+            file=sys.stderr,
+        )
         return SIGNALLED + received[0]
     return 0
 
@@ -119,7 +123,7 @@ def resumed(saved: checkpoints.Saved, parameters: Parameters) -> Engine:
     """
     engine = Engine(checkpoints.continued(saved, parameters))
     engine.resume(saved.checkpoint)
-    engine.change(parameters)
+    engine.change(change_to(engine.parameters, parameters))
     return engine
 
 

@@ -22,7 +22,7 @@ from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.events import CHANGE, RESET, RESTORE
 from gear_dynamics_ros.messages.decoder import changes_meant
 from gear_dynamics_ros.messages.encoder import Encoder
-from gear_dynamics_ros.parameters import parse, updated
+from gear_dynamics_ros.parameters import change_values, parse
 from gear_dynamics_ros.realtime.mailbox import RELEASED
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.parts import Stored
@@ -406,7 +406,7 @@ def _repeat(engine: Engine, event: Event) -> None:
         engine.reset()
     elif event.kind == CHANGE:
         try:
-            engine.change(updated(engine.parameters, event.parameters))
+            engine.change(change_values(engine.parameters, event.parameters))
         except UsageError as error:
             raise GearboxError(
                 f"the change of parameters at sample {event.sample} can't be: {error}"
