@@ -46,14 +46,16 @@ def _parser() -> argparse.ArgumentParser:
 def _drive(arguments: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     profile = load_profile(arguments.profile)
     with needing_ros():
-        from gear_dynamics_ros.ros.profile_client import play
+        from gear_dynamics_ros.ros.profile_client import play_profile
     node = full_name(arguments.node)
     report = _Report(arguments.junit, arguments.profile)
     report.begin(unreached(profile.expectations))
     print(f"playing {arguments.profile} to {node}: {profile.duration:g} s of simulated time", flush=True)
     display = _Display()
     try:
-        outcome = play(profile, node, arguments.wait, arguments.timeout, display.update, ros_arguments)
+        outcome = play_profile(
+            profile, node, arguments.wait, arguments.timeout, display.update, ros_arguments
+        )
     finally:
         display.close()
     try:

@@ -73,7 +73,7 @@ def publish_bag(arguments: argparse.Namespace) -> int:
 
 def _follow(bag: recording.Recording, arguments: argparse.Namespace) -> int:
     with needing_ros():
-        from gear_dynamics_ros.ros.profile_client import play
+        from gear_dynamics_ros.ros.profile_client import play_profile
     node = full_name(arguments.node)
     profile = replace(recorded.profile(bag), reset=arguments.reset)
     _tell_left_out(recorded.left_out_of_profile(bag), "; with --lockstep resets and changes are")
@@ -88,7 +88,7 @@ def _follow(bag: recording.Recording, arguments: argparse.Namespace) -> int:
             reached = player.time
             progress(player.time_ns)
 
-        outcome = play(profile, node, arguments.wait, arguments.timeout, watch, _ros(arguments))
+        outcome = play_profile(profile, node, arguments.wait, arguments.timeout, watch, _ros(arguments))
     print(
         f"{outcome.published} commands published over {reached:.9g} s of simulated time, values that stay "
         "ten times a second; each acts at the chunk edge after it came, a chunk or two late",
@@ -99,7 +99,7 @@ def _follow(bag: recording.Recording, arguments: argparse.Namespace) -> int:
 
 def _step(bag: recording.Recording, arguments: argparse.Namespace) -> int:
     with needing_ros():
-        from gear_dynamics_ros.ros.lockstep_client import play
+        from gear_dynamics_ros.ros.lockstep_client import play_script
     node = full_name(arguments.node)
     script = recorded.script(bag)
     if arguments.reset:
@@ -107,7 +107,7 @@ def _step(bag: recording.Recording, arguments: argparse.Namespace) -> int:
     _tell_left_out(recorded.left_out_of_script(bag), "")
     print(f"playing {bag.path} to {node} in lockstep: {script.duration_ns / 1e9:g} s", flush=True)
     with Progress("published", script.duration_ns) as progress:
-        outcome = play(script, node, arguments.wait, arguments.timeout, progress, _ros(arguments))
+        outcome = play_script(script, node, arguments.wait, arguments.timeout, progress, _ros(arguments))
     if outcome.origin >= 0:
         print(
             f"{outcome.published} commands published, {outcome.time_ns / 1e9:.9g} s simulated; time 0 of the "
