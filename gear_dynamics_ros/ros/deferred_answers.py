@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
+import queue
+import threading
+import time
 import traceback
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -16,13 +20,49 @@ from rclpy.qos import QoSProfile
 from rclpy.service import Service
 
 from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.system.threads import name_thread
 
 T = TypeVar("T")
 # Calls and answers that may wait at once, as for the parameter services of rclpy. Its default of 10 drops the
 # calls that come faster than they are taken, and their clients wait for ever.
 SERVICE_QUALITY = QoSProfile(depth=1000)
+# s between two answers to calls that came together. The queue of answers in a client holds 10 by default, and
+# gets the answers to all clients of the service: those that come faster than they are taken are lost.
+SPACING = 0.005
 EXPECTED = ["self", "response", "header"]
 NOT_DEFERRED = "internal error: rclpy sent this answer before the work was done; see the log for the result"
+
+
+class AnswerSender:
+    """Sends the answers of all services, one after another, on a thread of its own.
+
+    Whoever calls again after each answer is answered at once; only calls that came together wait.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: queue.SimpleQueue[tuple[int, Callable[[], None]] | None] = queue.SimpleQueue()
+        self._sent_ns = 0
+        self._thread = threading.Thread(target=self._work, name="answers", daemon=True)
+        self._thread.start()
+
+    def put(self, header: Any, send: Callable[[], None]) -> None:
+        """Call ``send`` for the request with ``header``, after those before it; from any thread."""
+        self._waiting.put((header.received_timestamp, send))
+
+    def close(self) -> None:
+        """Send what waits, and end."""
+        self._waiting.put(None)
+        self._thread.join()
+
+    def _work(self) -> None:
+        name_thread()
+        while waiting := self._waiting.get():
+            received_ns, send = waiting
+            if received_ns < self._sent_ns:
+                time.sleep(max(0.0, SPACING - (time.time_ns() - self._sent_ns) * 1e-9))
+            self._sent_ns = time.time_ns()
+            with contextlib.suppress(InvalidHandle):  # the service has gone, and with it whoever waited
+                send()
 
 
 class DeferredAnswers:
@@ -33,8 +73,9 @@ class DeferredAnswers:
     for this one object. Raises GearboxError if this rclpy has another one than Jazzy's.
     """
 
-    def __init__(self, service: Service) -> None:
+    def __init__(self, service: Service, sender: AnswerSender) -> None:
         require_send_response()
+        self._sender = sender
         self._send = service.send_response
         self._deferred: dict[int, tuple[Future[Any], Callable[[], None]]] = {}
         service.send_response = self._send_when_done  # type: ignore[method-assign]
@@ -42,25 +83,22 @@ class DeferredAnswers:
     def defer(self, response: Any, work: Future[Any], complete: Callable[[], None]) -> None:
         """Once the callback has returned ``response``, send it when ``work`` is done.
 
-        ``complete`` is called before, on the thread that finishes the work, to fill in the result.
+        ``complete`` is called before, on the thread of the sender, to fill in the result.
         """
         self._deferred[id(response)] = work, complete
 
     def _send_when_done(self, response: Any, header: Any) -> None:
         found = self._deferred.pop(id(response), None)
         if found is None:
-            self._send(response, header)
+            self._sender.put(header, lambda: self._send(response, header))
             return
         work, complete = found
 
-        def send(_: Future[Any]) -> None:
+        def send() -> None:
             complete()
-            try:
-                self._send(response, header)
-            except InvalidHandle:
-                return  # the node has ended, and nobody waits for the answer any more
+            self._send(response, header)
 
-        work.add_done_callback(send)
+        work.add_done_callback(lambda _: self._sender.put(header, send))
 
 
 def require_send_response() -> None:
@@ -74,7 +112,9 @@ def require_send_response() -> None:
         )
 
 
-def answer_when_done(node: Node, kind: Any, name: str, start: Callable[[Any], Future[str]]) -> None:
+def answer_when_done(
+    node: Node, sender: AnswerSender, kind: Any, name: str, start: Callable[[Any], Future[str]]
+) -> None:
     """Create the service ``name`` of type ``kind``, one with ``success`` and ``message`` in its answer.
 
     ``start`` gets the request and starts the work; the answer tells its result in words. Whatever is raised
@@ -91,10 +131,13 @@ def answer_when_done(node: Node, kind: Any, name: str, start: Callable[[Any], Fu
         answers.defer(response, work, lambda: _fill(node, response, work))
         return response
 
-    answers = DeferredAnswers(node.create_service(kind, name, callback, qos_profile=SERVICE_QUALITY))
+    service = node.create_service(kind, name, callback, qos_profile=SERVICE_QUALITY)
+    answers = DeferredAnswers(service, sender)
 
 
-def defer_parameter_answers(node: Node, work_begun: Callable[[], Future[Any] | None]) -> None:
+def defer_parameter_answers(
+    node: Node, sender: AnswerSender, work_begun: Callable[[], Future[Any] | None]
+) -> None:
     """Let the services that set parameters of ``node`` answer when the change is in force.
 
     ``work_begun`` is called after each request for the work that it began, if any. If that fails, or rclpy
@@ -102,13 +145,13 @@ def defer_parameter_answers(node: Node, work_begun: Callable[[], Future[Any] | N
     """
     for service in list(node.services):
         if service.srv_type in (SetParameters, SetParametersAtomically):
-            _defer_parameter_answers(node, service, work_begun)
+            _defer_parameter_answers(node, sender, service, work_begun)
 
 
 def _defer_parameter_answers(
-    node: Node, service: Service, work_begun: Callable[[], Future[Any] | None]
+    node: Node, sender: AnswerSender, service: Service, work_begun: Callable[[], Future[Any] | None]
 ) -> None:
-    answers, set_parameters = DeferredAnswers(service), service.callback
+    answers, set_parameters = DeferredAnswers(service, sender), service.callback
 
     def refuse(request: Any, response: Any, error: BaseException) -> None:
         result = SetParametersResult(successful=False, reason=_words(node, error))

@@ -26,6 +26,7 @@ from gear_dynamics_ros.realtime.mailbox import Mailbox
 from gear_dynamics_ros.realtime.session import Session
 from gear_dynamics_ros.ros import diagnostics, node_topics
 from gear_dynamics_ros.ros.command_receiver import CommandReceiver
+from gear_dynamics_ros.ros.deferred_answers import AnswerSender
 from gear_dynamics_ros.ros.node_services import create_services
 from gear_dynamics_ros.ros.runtime_parameters import RuntimeParameters
 from gear_dynamics_ros.simulation import checkpoints
@@ -43,7 +44,10 @@ class GearboxNode(LifecycleNode):
         super().__init__("gearbox", automatically_declare_parameters_from_overrides=True)
         self._stop = stop
         self._log: Any = self.get_logger()  # type: ignore[no-untyped-call]
-        self._runtime_parameters = RuntimeParameters(self, self._apply, lambda: self._run_parameters)
+        self._answers = AnswerSender()
+        self._runtime_parameters = RuntimeParameters(
+            self, self._answers, self._apply, lambda: self._run_parameters
+        )
         self.failure: GearboxError | None = None
         self._log_failures = True
         # A steady clock: diagnostics go on whatever happens to the time of the system or to /clock.
@@ -59,7 +63,7 @@ class GearboxNode(LifecycleNode):
         self._errors_logged = 0  # of those of the present session's recordings
         self.recording_failed = False  # any recording, of any session
         # They outlive the session, so that a call under way when it ends is answered.
-        create_services(self, self._active_session, self._restore_checkpoint)
+        create_services(self, self._answers, self._active_session, self._restore_checkpoint)
 
     @property
     def parameters(self) -> Parameters:
@@ -79,7 +83,10 @@ class GearboxNode(LifecycleNode):
         """Finish everything; the node is of no use afterwards."""
         if self._session is not None:
             self._log.info(f"ending: {reason}")
-        self._release(reason)
+        try:
+            self._release(reason)
+        finally:
+            self._answers.close()
 
     # Transitions
 

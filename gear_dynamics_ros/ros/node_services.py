@@ -10,13 +10,16 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from gear_dynamics_ros.realtime.session import Session
-from gear_dynamics_ros.ros.deferred_answers import answer_when_done
+from gear_dynamics_ros.ros.deferred_answers import AnswerSender, answer_when_done
 
 Start = Callable[[Any], Future[str]]
 
 
 def create_services(
-    node: Node, active: Callable[[], Session], restore_checkpoint: Callable[[], Future[str]]
+    node: Node,
+    sender: AnswerSender,
+    active: Callable[[], Session],
+    restore_checkpoint: Callable[[], Future[str]],
 ) -> None:
     """Make every service of the node, below its name.
 
@@ -37,4 +40,4 @@ def create_services(
         "restore_checkpoint": (Trigger, lambda _: restore_checkpoint()),
     }
     for name, (kind, start) in services.items():
-        answer_when_done(node, kind, f"~/{name}", start)
+        answer_when_done(node, sender, kind, f"~/{name}", start)

@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.parameters import ParameterChange, Parameters
 from gear_dynamics_ros.ros import node_parameters
-from gear_dynamics_ros.ros.deferred_answers import defer_parameter_answers, on_executor
+from gear_dynamics_ros.ros.deferred_answers import AnswerSender, defer_parameter_answers, on_executor
 
 SIM_TIME = "use_sim_time must stay false: the gearbox makes time and never follows /clock"
 RESTORING = "a checkpoint is being restored: set parameters again when ~/restore_checkpoint has answered"
@@ -24,6 +24,7 @@ class RuntimeParameters:
     def __init__(
         self,
         node: Node,
+        sender: AnswerSender,
         apply: Callable[[ParameterChange], Future[None] | None],
         in_force: Callable[[], Parameters],
     ) -> None:
@@ -42,7 +43,7 @@ class RuntimeParameters:
         node.add_pre_set_parameters_callback(node_parameters.numbers_to_floats)
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._set)
-        defer_parameter_answers(node, self._take_work)
+        defer_parameter_answers(node, sender, self._take_work)
 
     def restore(self, start: Callable[[], Future[str]]) -> Future[str]:
         """Result of what ``start`` begins; afterwards the node has the parameters that it put in force.
