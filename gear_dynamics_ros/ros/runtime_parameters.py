@@ -39,6 +39,7 @@ class RuntimeParameters:
         self._change: ParameterChange | None = None  # validated, about to be set
         self._work: Future[None] | None = None  # begun by the request in hand
         self._restores = 0  # under way
+        self._showing = False  # values that are in force already
         self._ignore_sim_time()
         node.add_pre_set_parameters_callback(node_parameters.numbers_to_floats)
         node.add_on_set_parameters_callback(self._validate)
@@ -73,7 +74,7 @@ class RuntimeParameters:
     def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
         if any(parameter.name == "use_sim_time" and parameter.value for parameter in parameters):
             return SetParametersResult(successful=False, reason=SIM_TIME)
-        if self._restores:
+        if self._restores and not self._showing:
             return SetParametersResult(successful=False, reason=RESTORING)
         try:
             self._change = node_parameters.change_by(self.current, parameters)
@@ -99,7 +100,11 @@ class RuntimeParameters:
         values = node_parameters.to_set(self.current, parameters)
         self.current = parameters
         if values:
-            result = self._node.set_parameters_atomically(values)
+            self._showing = True
+            try:
+                result = self._node.set_parameters_atomically(values)
+            finally:
+                self._showing = False
             if not result.successful:
                 raise GearboxError(f"the node's parameters do not show those in force: {result.reason}")
 
