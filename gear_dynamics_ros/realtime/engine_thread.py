@@ -248,7 +248,7 @@ class EngineThread:
             self._fail(error)
 
     def _fail(self, error: Exception) -> None:
-        """End the run: the node must stay to tell, and a reset may recover."""
+        """End the run and keep the thread: the node must report why, and a reset may recover."""
         with contextlib.suppress(Exception):  # the sink that failed may fail again
             self.run.fail(str(error) or repr(error))
 
@@ -323,12 +323,12 @@ class EngineThread:
             )
 
 
-def warm_up(parameters: Parameters, say: Callable[[str], object]) -> None:
+def warm_up(parameters: Parameters, log: Callable[[str], object]) -> None:
     """Do once all that a run does, so that no chunk pays for what is compiled or loaded at first use.
 
-    ``say`` so, and how long it took, if it takes long: the first time on a machine the kernel is compiled.
+    Calls ``log`` if it takes long, which is the first time on a machine: then the kernel is compiled.
     """
-    notice = threading.Timer(PATIENCE, say, ["compiling the kernel; only a first start takes this long"])
+    notice = threading.Timer(PATIENCE, log, ["compiling the kernel; only a first start takes this long"])
     notice.daemon = True
     began = time.perf_counter()
     notice.start()
@@ -341,4 +341,4 @@ def warm_up(parameters: Parameters, say: Callable[[str], object]) -> None:
         notice.cancel()
     elapsed = time.perf_counter() - began
     if elapsed > PATIENCE:
-        say(f"compiled in {elapsed:.0f} s")
+        log(f"compiled in {elapsed:.0f} s")

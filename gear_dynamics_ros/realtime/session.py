@@ -13,10 +13,10 @@ from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.events import PAUSE, RESUME
 from gear_dynamics_ros.messages.encoder import Encoder, Record
 from gear_dynamics_ros.parameters import ParameterChange, Parameters, change_to
-from gear_dynamics_ros.realtime import model_info
 from gear_dynamics_ros.realtime.condition import ConditionSink
 from gear_dynamics_ros.realtime.engine_thread import EngineThread
 from gear_dynamics_ros.realtime.mailbox import Mailbox
+from gear_dynamics_ros.realtime.model_info import describe_model
 from gear_dynamics_ros.realtime.pacing import Pace
 from gear_dynamics_ros.realtime.recording_control import RecordingControl
 from gear_dynamics_ros.recording.recorder import Recorder
@@ -33,7 +33,7 @@ class Session:
     """Engine thread, sinks and recordings of one run.
 
     Simulated time 0 is the moment it is made, so that stamps run along with the wall clock at real-time
-    factor 1. All but the requests at the end of the class is for one thread, the operator's.
+    factor 1. For one thread, which serves the operator.
     """
 
     def __init__(
@@ -239,7 +239,7 @@ class Session:
 
     def _write_model_info(self) -> None:
         """Publish and record what the model is, after whatever changed it."""
-        text = model_info.describe(self.parameters, self.epoch_ns, self._node)
+        text = describe_model(self.parameters, self.epoch_ns, self._node)
         self._run.write_records([self._encoder.model_info(self.now_ns, text)])
 
     def _clock(self, chunk: Chunk) -> list[Record]:

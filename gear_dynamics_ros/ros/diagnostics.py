@@ -1,4 +1,4 @@
-"""The gearbox's health as diagnostic_msgs tells it."""
+"""State of the gearbox as a message of diagnostic_msgs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from gear_dynamics_ros.viewer import Viewer
 
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
-FULL_SOON = 60.0  # s of wall time until recording stops for want of room
+FULL_SOON = 60.0  # s of wall time until the disk is full and recording stops
 UNITS = {"drive_torque": "N m", "load_torque": "N m", "speed": "rad/s"}
 
 
@@ -77,7 +77,7 @@ class Health(NamedTuple):
 def collect_health(
     session: Session, pace: Pace, viewer: Viewer | None, several_publishers: Sequence[str]
 ) -> Health:
-    """How everything stands.
+    """State of the run and of everything that serves it.
 
     ``pace`` is that since the last report, ``several_publishers`` names the command topics that have several.
     """

@@ -115,7 +115,7 @@ class GearboxClient(ABC):
 
     def _answer(self, client: Any, request: Any, what: str) -> Any:
         future = client.call_async(request)
-        # A step gives up by itself after the timeout, and says so.
+        # A step is given up by the gearbox itself after the timeout, and then answered.
         patience = self._timeout + POLL
         if not self._until(lambda: future.done() or not client.service_is_ready(), patience):
             raise GearboxError(

@@ -34,14 +34,14 @@ STEP_CHUNKS, STEP_TIMEOUT = "stepping.chunks", "stepping.timeout"
 
 
 class ScriptOutcome(NamedTuple):
-    """How far a script was played; ``failure`` tells why not to its end, empty if it was."""
+    """How far a script was played; ``failure`` is why it was not played to its end, empty if it was."""
 
     origin: int  # sample of the gearbox at the script's time 0; -1 if it did not come to that
     time_ns: int  # simulated since then
     published: int  # commands
-    left_running: bool  # as it was found; otherwise paused
+    left_running: bool  # as before the play; otherwise left paused
     failure: str
-    signal: int  # the number of the signal that broke it off, 0 if none did
+    signal: int  # number of the signal that interrupted it, 0 if none did
 
 
 def play_script(
@@ -71,12 +71,12 @@ def play_script(
         try:
             player.leave()
         except GearboxError as error:
-            failures.append(f"{node} was not left as it was found: {error}")
+            failures.append(f"{node} was not put back as before: {error}")
         return player.outcome("; ".join(failures))
 
 
 class _GearboxInfo(NamedTuple):
-    """What the gearbox says of itself."""
+    """What ``~/model_info`` says of the gearbox."""
 
     epoch_ns: int
     interval_ns: int
@@ -255,14 +255,14 @@ class _ScriptClient(GearboxClient):
         """Raise GearboxError unless the commands of ``moment`` came in force at its sample."""
         wanted = moment.commands
 
-        def told() -> bool:
+        def reported() -> bool:
             in_force = self._in_force is not None and self._in_force.commands == wanted
             return in_force or self._unexpected is not None
 
-        self._until(told, self._timeout)
+        self._until(reported, self._timeout)
         if self._unexpected is not None:
             raise GearboxError(self._other_commands(self._unexpected))
-        if not told():
+        if not reported():
             raise GearboxError(
                 f"{self._name} did not put the commands of {moment.time_ns / 1e9:.9g} s in force: "
                 f"{_text(wanted)}; {_DOUBT}"
@@ -285,7 +285,7 @@ class _ScriptClient(GearboxClient):
     def _progress(self) -> str:
         return f"{self._time_ns / 1e9:.6g} s of the recording's {self._script.duration_ns / 1e9:.6g} s"
 
-    # What the gearbox tells
+    # Messages of the gearbox
 
     def _take_info(self, message: String) -> None:
         if self._gearbox is not None:
@@ -303,10 +303,10 @@ class _ScriptClient(GearboxClient):
         self._events.append(json.loads(message.data))
 
     def _take_applied(self, message: Any) -> None:
-        self._in_force = told = _InForce(stamp_ns(message.header.stamp), applied_commands(message))
-        played = self._origin >= 0 and told.stamp_ns >= self._origin_ns
-        if played and self._expected.get(told.stamp_ns) != told.commands:
-            self._unexpected = self._unexpected or told
+        self._in_force = applied = _InForce(stamp_ns(message.header.stamp), applied_commands(message))
+        played = self._origin >= 0 and applied.stamp_ns >= self._origin_ns
+        if played and self._expected.get(applied.stamp_ns) != applied.commands:
+            self._unexpected = self._unexpected or applied
 
     @property
     def _known(self) -> _GearboxInfo:

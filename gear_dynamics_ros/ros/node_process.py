@@ -37,7 +37,7 @@ def run_gearbox_node(argv: Sequence[str] | None = None) -> int:
 def _own_arguments(argv: Sequence[str] | None) -> list[str] | None:
     try:
         return remove_ros_args(None if argv is None else ["gearbox", *argv])[1:]
-    except Exception:  # what is wrong with the ROS arguments is told when they are used
+    except Exception:  # wrong ROS arguments are reported when they are used
         return []
 
 

@@ -32,12 +32,12 @@ DRAIN = 0.5
 
 
 class ProfileOutcome(NamedTuple):
-    """How a run went; ``failure`` tells why the profile was not played to its end, empty if it was."""
+    """How a run went; ``failure`` is why the profile was not played to its end, empty if it was."""
 
     results: tuple[Result, ...]
     published: int
     failure: str
-    signal: int  # the number of the signal that broke the run off, 0 if none did
+    signal: int  # the number of the signal that interrupted it, 0 if none did
 
 
 def play_profile(
@@ -86,10 +86,10 @@ class _ProfileClient(GearboxClient):
         self._listen("event", self._take_event)
         self._player: Player | None = None
         self._joined = False
-        self._reset_time = -1.0  # simulated time of the last reset told
+        self._reset_time = -1.0  # simulated time of the last reset event
         self._last_chunk = 0.0  # wall time
         self._last_time = 0.0  # simulated time
-        self._end = (-1.0, "")  # simulated time and reason of the last end told
+        self._end = (-1.0, "")  # simulated time and reason of the last end event
         self._last_published: dict[str, tuple[float, float]] = {}  # command: value, wall time
         self._published = 0
 
@@ -175,10 +175,10 @@ class _ProfileClient(GearboxClient):
             return f"{self._name} offers no service to set its parameters after {wait:g} s: see its log"
         if not self._resettable():
             return f"{self._name} offers no service to reset it after {wait:g} s: see its log"
-        told = f" It said: {self._ended}." if self._ended else ""
+        ended = f" Its run has ended: {self._ended}." if self._ended else ""
         return (
             f"{self._name} is there, but sent no waveform for {wait:g} s: it may be starting, inactive, "
-            f"paused or ended; see its log, or give a longer --wait.{told}"
+            f"paused or ended; see its log, or give a longer --wait.{ended}"
         )
 
     def _ending(self) -> str:

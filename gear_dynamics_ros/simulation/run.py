@@ -115,7 +115,7 @@ class Run:
         self._end(Ending.STOPPED, reason)
 
     def fail(self, reason: str) -> None:
-        """End the run because of an error; it is what ``state`` tells even if the run has ended already."""
+        """End the run because of an error, which replaces the reason if the run has ended already."""
         if self._state.ending is not Ending.FAILED:
             ended = self._state.ended
             self._state = self._state._replace(ending=Ending.FAILED, reason=reason)
@@ -204,7 +204,7 @@ class Run:
 
 
 def _each(sinks: Iterable[Sink], act: Callable[[Sink], None]) -> None:
-    """Let every sink have its due, even if one of them fails; raises the first failure."""
+    """Do ``act`` for every sink, even if it fails for one; raises the first failure."""
     failures: list[Exception] = []
     for sink in sinks:
         try:

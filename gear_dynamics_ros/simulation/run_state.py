@@ -1,4 +1,4 @@
-"""Whether a run goes on, and why it ended: the one place that says so."""
+"""State of a run: running, paused, or ended for a reason. ``Run`` alone changes it."""
 
 from __future__ import annotations
 
