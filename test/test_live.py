@@ -79,7 +79,7 @@ def test_a_command_that_is_too_old_is_held_or_released(start, on_timeout, load):
 def test_what_fails_in_a_call_fails_in_the_caller_and_the_run_goes_on(start):
     live, watcher, _ = start()
     with pytest.raises(GearboxError, match="not paused"):
-        live.step(1, 1.0).result(60.0)
+        step(live, 1, 1.0).result(60.0)
     known = len(watcher.chunks)
     watcher.until(lambda chunk: len(watcher.chunks) > known)
 
@@ -111,6 +111,12 @@ def test_stopping_and_starting_loses_no_sample(start):
     assert [chunk.first_sample for chunk in watcher.chunks] == [200 * k for k in range(len(watcher.chunks))]
 
 
+def step(live, chunks, timeout):
+    values = {"stepping.chunks": chunks, "stepping.timeout": timeout}
+    live.call(lambda: live.change(change_values(live.run.engine.parameters, values)))
+    return live.step()
+
+
 def paused(start, **values):
     live, watcher, ended = start(**values)
     watcher.until(lambda chunk: True)
@@ -122,7 +128,7 @@ def test_steps_make_as_many_chunks_as_wanted_while_paused(start):
     live, watcher, _ = paused(start)
     known = len(watcher.chunks)
     before, overruns = live.time, live.pace().overruns
-    assert live.step(25, 60.0).result(60.0) == pytest.approx(before + 0.05)
+    assert step(live, 25, 60.0).result(60.0) == pytest.approx(before + 0.05)
     assert len(watcher.chunks) == known + 25
     assert live.pace().overruns == overruns
 
@@ -138,10 +144,10 @@ def test_steps_make_as_many_chunks_as_wanted_while_paused(start):
 def test_steps_are_given_up_when_something_else_is_wanted(start, meanwhile, reason):
     live, watcher, _ = paused(start)
     known = len(watcher.chunks)
-    steps = live.step(1_000_000, 3600.0)
+    steps = step(live, 1_000_000, 3600.0)
     watcher.until(lambda chunk: len(watcher.chunks) > known)
     with pytest.raises(GearboxError, match="stepping already"):
-        live.step(1, 1.0).result(60.0)
+        step(live, 1, 1.0).result(60.0)
     meanwhile(live)
     with pytest.raises(GearboxError, match=f"{reason} .* of 1000000 chunks"):
         steps.result(60.0)
@@ -150,17 +156,17 @@ def test_steps_are_given_up_when_something_else_is_wanted(start, meanwhile, reas
 def test_steps_are_given_up_when_their_time_is_over(start):
     live, _, _ = paused(start)
     with pytest.raises(GearboxError, match=r"stepping.timeout"):
-        live.step(1_000_000, 0.05).result(60.0)
-    assert live.run.state.paused and live.step(1, 60.0).result(60.0)
+        step(live, 1_000_000, 0.05).result(60.0)
+    assert live.run.state.paused and step(live, 1, 60.0).result(60.0)
 
 
 def test_steps_are_given_up_when_the_run_ends(start):
     live, _, ended = paused(start, **RUNNING_AWAY)
     with pytest.raises(GearboxError, match="aborted: over-speed"):
-        live.step(1_000_000, 3600.0).result(120.0)
+        step(live, 1_000_000, 3600.0).result(120.0)
     assert ended.wait(60.0)
     with pytest.raises(GearboxError, match=r"the run has ended .*: call ~/reset first"):
-        live.step(1, 1.0).result(60.0)
+        step(live, 1, 1.0).result(60.0)
 
 
 def test_an_overrun_ends_the_run_where_it_is_to(start):

@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TypeVar
 
 from gear_dynamics_ros.chunk import Chunk, Counters
@@ -32,8 +32,8 @@ class Steps:
     chunks: int
     timeout: float  # s of wall time
     began_ns: int
+    done: Future[float]
     made: int = 0
-    done: Future[float] = field(default_factory=Future)
 
     def expired(self, now_ns: int) -> bool:
         """Whether the time is up."""
@@ -142,22 +142,22 @@ class EngineThread:
         else:
             self.run.write_records(make())
 
-    def step(self, chunks: int, timeout: float) -> Future[float]:
-        """Make ``chunks`` chunks while paused, as fast as possible; the future gets the simulated time in s.
+    def step(self) -> Future[float]:
+        """``stepping.chunks`` chunks while paused, as fast as possible; the future gets the time reached, s.
 
         The future fails with GearboxError if the run isn't paused, steps already or has ended, if it is
-        unpaused, reset, stopped or ends meanwhile, and after ``timeout`` s of wall time.
+        unpaused, reset, stopped or ends meanwhile, and after ``stepping.timeout`` s of wall time.
         """
-        steps = Steps(chunks, timeout, time.monotonic_ns())
+        done: Future[float] = Future()
 
         def begin() -> None:
             try:
-                self._begin(steps)
+                self._begin_steps(done)
             except GearboxError as error:
-                steps.done.set_exception(error)
+                done.set_exception(error)
 
         self.request(begin)
-        return steps.done
+        return done
 
     def pause(self) -> bool:
         """``Run.pause``, for ``request``."""
@@ -206,7 +206,7 @@ class EngineThread:
             self._pacer.restart(now)
         self.mailbox.restart(now)
 
-    def _begin(self, steps: Steps) -> None:
+    def _begin_steps(self, done: Future[float]) -> None:
         if not self.run.state.paused:
             raise GearboxError("not paused: ~/step makes chunks while paused, call ~/pause first")
         self.run.require_not_ended()
@@ -214,7 +214,8 @@ class EngineThread:
             raise GearboxError(
                 f"stepping already, {self._steps.made} of {self._steps.chunks} chunks are made: wait for it"
             )
-        self._steps = steps
+        stepping = self.run.engine.parameters.stepping
+        self._steps = Steps(stepping.chunks, stepping.timeout, time.monotonic_ns(), done)
 
     def _give_up_steps(self, reason: str) -> None:
         steps, self._steps = self._steps, None

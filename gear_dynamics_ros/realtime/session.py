@@ -150,9 +150,7 @@ class Session:
 
     def step(self) -> Future[str]:
         """``stepping.chunks`` chunks while paused; done when the last is made."""
-        stepping = self.parameters.stepping
-        steps = self.engine_thread.step(stepping.chunks, stepping.timeout)
-        return then(steps, lambda reached: f"simulated {reached:.9g} s")
+        return then(self.engine_thread.step(), lambda reached: f"simulated {reached:.9g} s")
 
     def split(self) -> Future[str]:
         """Go on recording in a new file."""
