@@ -17,10 +17,12 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.service import Service
+from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.ros.deferred_answers import require_send_response
+from gear_dynamics_ros.ros.profile_client import require_take_message
 
 PATIENCE = 120.0  # a first start compiles the kernel
 
@@ -166,3 +168,17 @@ def test_another_rclpy_is_refused_with_words(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.delattr(Service, "send_response")
     with pytest.raises(GearboxError, match="parameters None"):
         require_send_response()
+
+
+def test_a_subscription_that_cannot_be_drained_is_refused_with_words(ros_domain: int) -> None:
+    context = Context()
+    rclpy.init(context=context)
+    node = Node("listener", context=context)
+    try:
+        subscription = node.create_subscription(String, "words", print, 10)
+        require_take_message(subscription)
+        with pytest.raises(GearboxError, match=r"no handle\.take_message.* ROS 2 Jazzy"):
+            require_take_message(node.create_publisher(String, "words", 10))
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
