@@ -27,7 +27,7 @@ def record(path: Path, parameters: Parameters, chunks: int, act: Act, begin: int
         run.step(act(run, chunk))
     # What is done before the first recorded chunk is the past of a recording that is begun later.
     early = act(run, begin) if begin else None
-    run.attach(RecorderSink(Recorder(path, parameters, run.checkpoint(), 0), run.engine))
+    run.attach(RecorderSink(Recorder(path, run.checkpoint(), 0), run.engine))
     for chunk in range(begin, chunks):
         run.step(early if begin and chunk == begin else act(run, chunk))
     run.finish("done")

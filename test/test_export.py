@@ -19,22 +19,12 @@ from conftest import Process, StartProcess
 from pyarrow import parquet
 
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.channels import (
-    CHANNEL_NAMES,
-    CHANNELS,
-    ENERGIES,
-    IMPACTS,
-)
-from gear_dynamics_ros.chunk import (
-    Chunk,
-    Commands,
-    Counters,
-    Status,
-)
-from gear_dynamics_ros.cli.replay import main as replay_main
+from gear_dynamics_ros.channels import CHANNEL_NAMES, CHANNELS, ENERGIES, IMPACTS
+from gear_dynamics_ros.chunk import Chunk, Commands, Counters, Status
+from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.messages.encoder import Encoder
-from gear_dynamics_ros.parameters import Parameters, change_values, dump
+from gear_dynamics_ros.parameters import Parameters, change_values, dump_parameters
 from gear_dynamics_ros.recording.export.formats import ROW_GROUP
 from gear_dynamics_ros.recording.export.write import export
 from gear_dynamics_ros.recording.reader import BLOCK_SAMPLES
@@ -77,7 +67,7 @@ def make_chunk(number: int) -> Chunk:
 
 
 def record(path: Path, chunks: int) -> Path:
-    recorder = Recorder(path, Parameters(), {"sample": 0}, 1_000_000_000)
+    recorder = Recorder(path, Engine(Parameters()).checkpoint(), 1_000_000_000)
     encoder = Encoder(Parameters(), 1_000_000_000)
     for number in range(chunks):
         recorder.write(encoder.chunk(make_chunk(number)))
@@ -97,7 +87,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run with commands, a changed parameter, a reset and impacts."""
     path = tmp_path_factory.mktemp("simulated") / "run"
     engine = Engine(Parameters())
-    recorder = Recorder(path, engine.parameters, engine.checkpoint(), 0)
+    recorder = Recorder(path, engine.checkpoint(), 0)
     run = Run(engine, Encoder(engine.parameters, 0), [RecorderSink(recorder, engine)])
     run.step()
     run.step(Commands(30.0, 55.0, 1700.0))
@@ -178,8 +168,8 @@ def test_a_window_of_some_channels(bag: Path, tmp_path: Path, suffix: str) -> No
 def test_the_time_of_a_sample_is_that_of_no_other_days_after_the_start(bag: Path) -> None:
     opened = recording.open(bag)
     for sample in np.random.default_rng(1).integers(10**9, 10**11, 1000).tolist():
-        assert opened.at(sample * 1e-5) == sample
-        assert opened.at((sample + 0.01) * 1e-5) == sample + 1
+        assert opened.sample_at(sample * 1e-5) == sample
+        assert opened.sample_at((sample + 0.01) * 1e-5) == sample + 1
 
 
 def test_parquet_tells_units_and_origin(bag: Path, tmp_path: Path) -> None:
@@ -195,7 +185,7 @@ def test_parquet_tells_units_and_origin(bag: Path, tmp_path: Path) -> None:
     assert about["version"] == opened.version
     assert about["kernel_hash"] == opened.kernel_hash
     assert about["sample_interval_ns"] == "10000"
-    assert about["parameters"] == dump(Parameters())
+    assert about["parameters"] == dump_parameters(Parameters())
     sizes = [file.metadata.row_group(i).num_rows for i in range(file.metadata.num_row_groups)]
     assert sum(sizes) == 250 * ROWS and len(sizes) > 1
     assert max(sizes) < ROW_GROUP + BLOCK_SAMPLES + ROWS
@@ -224,11 +214,11 @@ def test_impacts(run: Path, tmp_path: Path) -> None:
     opened = recording.open(run)
     expected = opened.impacts()
     assert len(expected) > 1
-    middle = float(np.sort(expected[:, 1])[1])
+    middle = float(np.sort(expected["end"])[1])
     for suffix in FORMATS:
         export(opened, tmp_path / f"x.{suffix}", "impacts")
         found = np.column_stack(list(read(tmp_path / f"x.{suffix}").values()))
-        assert same_bits(found, expected)
+        assert same_bits(found, np.array(expected.tolist()))
         export(opened, tmp_path / f"later.{suffix}", "impacts", start=middle)
         assert len(read(tmp_path / f"later.{suffix}")["begin"]) == len(opened.impacts(middle))
     assert tuple(read(tmp_path / "x.csv")) == tuple(entry.name for entry in IMPACTS)
@@ -254,7 +244,7 @@ def test_events(run: Path, tmp_path: Path) -> None:
     assert [row["event"] for row in rows] == ["start", "parameters", "reset", "end"]
     assert rows[1]["parameters"] == '{"oil.viscosity": 0.03}'
     assert (rows[2]["sample"], rows[2]["time"], rows[2]["message"]) == (600, 0.006, "to begin, again")
-    assert [row["counted_steps"] for row in rows] == [event.counters["steps"] for event in opened.events]
+    assert [row["counted_steps"] for row in rows] == [event.counters.steps for event in opened.events]
     text = read_csv(tmp_path / "x.csv")
     assert {name: [str(row[name]) for row in rows] for name in rows[0]} == text
     with pytest.raises(UsageError, match="message, parameters are text: export this table as parquet or csv"):
@@ -365,8 +355,8 @@ def test_a_broken_off_recording_exports_what_is_readable(
 FULL = """
 import resource, sys
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2)
-from gear_dynamics_ros.cli.replay import main
-sys.exit(main(sys.argv[2:]))
+from gear_dynamics_ros.cli.replay import replay_main
+sys.exit(replay_main(sys.argv[2:]))
 """
 
 
@@ -414,11 +404,13 @@ def test_a_killed_export_leaves_nothing_that_passes_for_whole(
 
 
 def test_parquet_without_pyarrow_is_one_clear_line(run: Path, tmp_path: Path) -> None:
-    code = "import sys; sys.modules.update(pyarrow=None); from gear_dynamics_ros.cli.replay import main; "
+    code = (
+        "import sys; sys.modules.update(pyarrow=None); from gear_dynamics_ros.cli.replay import replay_main; "
+    )
     for suffix, expected in (("parquet", 2), ("csv", 0), ("npy", 0)):
         words = ["export", str(run), "--output", str(tmp_path / f"x.{suffix}")]
         done = subprocess.run(
-            [sys.executable, "-c", code + "sys.exit(main(sys.argv[1:]))", *words],
+            [sys.executable, "-c", code + "sys.exit(replay_main(sys.argv[1:]))", *words],
             capture_output=True,
             text=True,
             timeout=120,

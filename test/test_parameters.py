@@ -18,21 +18,21 @@ from hypothesis import strategies as st
 from gear_dynamics_ros.channels import COLUMN
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import (
-    Gear,
-    Gears,
+    GearPairParameters,
+    GearParameters,
     Parameters,
     Specification,
     change_to,
     differences,
-    dump,
-    load,
-    reference,
+    dump_parameters,
+    load_parameters,
+    parameters_page,
     specifications,
 )
 from gear_dynamics_ros.parameters.rcl_yaml import (
     SMALLEST_NORMAL,
     parse_yaml,
-    resolve,
+    resolve_scalar,
     scalar_text,
 )
 
@@ -229,7 +229,10 @@ def test_names_of_every_ros_node_are_passed_over() -> None:
             ["bearings.driven.oil_clearance", "bearings.driven.clearance"],
         ),
         ({"mesh.stiffness_cos": [0.6], "mesh.stiffness_sin": [0.0, -0.4]}, ["mesh.stiffness_cos", "< 1"]),
-        ({"mesh.stiffness_cos": [0.6], "mesh.stiffness_sin": [0.8]}, ["mesh.stiffness_sin", "swing by 1"]),
+        (
+            {"mesh.stiffness_cos": [0.6], "mesh.stiffness_sin": [0.8]},
+            ["mesh.stiffness_sin", "total amplitude of 1:"],
+        ),
         ({"mesh.error_cos": []}, ["mesh.error_cos", "0 entries", "1 to 32"]),
         ({"mesh.error_cos": [0.0] * 33}, ["mesh.error_cos", "33 entries"]),
         ({"surface.waves": 32}, ["surface.waves = 32", "surface.scale = 1.5", "200000"]),
@@ -301,13 +304,27 @@ def test_whole_numbers_of_steps_and_samples_are_exact(
     assert (solver.steps_per_sample, solver.sample_interval_ns, solver.samples_per_chunk) == counts
 
 
+def test_counts_of_steps_and_samples_are_worked_out_once_for_each_solver() -> None:
+    solver = Parameters.from_flat({"solver.sample_interval": 3e-3, "solver.chunk": 0.9}).solver
+    assert solver.steps_per_sample is solver.steps_per_sample
+    assert solver.sample_interval_ns is solver.sample_interval_ns
+    assert solver.samples_per_chunk is solver.samples_per_chunk
+    other = dataclasses.replace(solver, sample_interval=1e-3)
+    assert (other.steps_per_sample, other.sample_interval_ns, other.samples_per_chunk) == (
+        1000,
+        1_000_000,
+        900,
+    )
+    assert dataclasses.replace(other, sample_interval=3e-3) == solver
+
+
 def test_an_object_built_by_hand_is_checked_as_well() -> None:
-    good = Parameters(gears=Gears(driving=Gear(teeth=23)))
+    good = Parameters(gears=GearPairParameters(driving=GearParameters(teeth=23)))
     assert good.to_flat()["gears.driving.teeth"] == 23
     with pytest.raises(UsageError, match=r"gears\.driving\.teeth = 4 "):
-        Parameters(gears=Gears(driving=Gear(teeth=4)))
+        Parameters(gears=GearPairParameters(driving=GearParameters(teeth=4)))
     with pytest.raises(UsageError, match=r"gears\.driving\.mass = 1 must be a number"):
-        Parameters(gears=Gears(driving=Gear(mass=1)))
+        Parameters(gears=GearPairParameters(driving=GearParameters(mass=1)))
     with pytest.raises(UsageError, match="model"):
         dataclasses.replace(good, model="new")
 
@@ -349,13 +366,13 @@ def flatten(tree: dict[str, Any], prefix: str = "") -> Iterator[str]:
 def test_the_gearbox_file_is_the_defaults_bit_for_bit(read_by_ros: Callable[[str], dict[str, Any]]) -> None:
     file = ROOT / "config" / "gearbox.yaml"
     defaults = Parameters().to_flat()
-    assert load(file) == Parameters()
+    assert load_parameters(file) == Parameters()
     by_ros = Parameters.from_flat(read_by_ros(file.read_text(encoding="utf-8"))).to_flat()
     assert {n: bits(v) for n, v in by_ros.items()} == {n: bits(v) for n, v in defaults.items()}
 
 
 def test_the_paper_file_differs_in_its_switches_only() -> None:
-    defaults, paper = Parameters().to_flat(), load(ROOT / "config" / "paper.yaml").to_flat()
+    defaults, paper = Parameters().to_flat(), load_parameters(ROOT / "config" / "paper.yaml").to_flat()
     assert {name: value for name, value in paper.items() if value != defaults[name]} == {
         "mesh_geometry": "published",
         "mesh_damping": "always",
@@ -366,7 +383,7 @@ def test_the_paper_file_differs_in_its_switches_only() -> None:
 
 
 def test_the_reference_page_is_up_to_date() -> None:
-    assert (ROOT / "docs" / "parameters.md").read_text(encoding="utf-8") == reference(), (
+    assert (ROOT / "docs" / "parameters.md").read_text(encoding="utf-8") == parameters_page(), (
         "run: python -m gear_dynamics_ros.parameters > docs/parameters.md"
     )
 
@@ -381,7 +398,7 @@ def test_every_text_of_a_number_is_what_ros_takes_it_for(
     for index, value in enumerate(texts):
         taken = ours["/**"]["ros__parameters"][f"p{index}"]
         assert bits(taken) == bits(by_ros[f"p{index}"]), value
-    assert all(bits(resolve(text)) == bits(by_ros[f"p{i}"]) for i, text in enumerate(NUMBER_TEXTS))
+    assert all(bits(resolve_scalar(text)) == bits(by_ros[f"p{i}"]) for i, text in enumerate(NUMBER_TEXTS))
 
 
 floats = st.floats(allow_nan=False, allow_infinity=False).filter(
@@ -430,9 +447,9 @@ def parameters(draw: st.DrawFn) -> Parameters:
 def test_parameters_survive_dump_and_load_here_and_in_ros(
     original: Parameters, read_by_ros: Callable[[str], dict[str, Any]], tmp_path: Path
 ) -> None:
-    text = dump(original)
+    text = dump_parameters(original)
     wanted = {name: bits(value) for name, value in original.to_flat().items()}
-    for read in (load(file_of(tmp_path, text)), Parameters.from_flat(read_by_ros(text))):
+    for read in (load_parameters(file_of(tmp_path, text)), Parameters.from_flat(read_by_ros(text))):
         assert {name: bits(value) for name, value in read.to_flat().items()} == wanted
     assert yaml.safe_load(text)["/**"]["ros__parameters"]["oil"]["viscosity"] == original.oil.viscosity
 
@@ -448,10 +465,10 @@ def test_sections_count_as_in_ros(
     text += section("operation: {speed: 2}", f'"{second}"')
     by_ros = read_by_ros(text)
     if by_ros:
-        assert load(file_of(tmp_path, text)) == Parameters.from_flat(by_ros)
+        assert load_parameters(file_of(tmp_path, text)) == Parameters.from_flat(by_ros)
     else:
         with pytest.raises(UsageError, match="no section for /gearbox"):
-            load(file_of(tmp_path, text))
+            load_parameters(file_of(tmp_path, text))
 
 
 @pytest.mark.parametrize(
@@ -467,7 +484,7 @@ def test_sections_count_as_in_ros(
 def test_other_ways_to_write_a_section_count_as_in_ros(
     text: str, read_by_ros: Callable[[str], dict[str, Any]], tmp_path: Path
 ) -> None:
-    assert load(file_of(tmp_path, text)) == Parameters.from_flat(read_by_ros(text))
+    assert load_parameters(file_of(tmp_path, text)) == Parameters.from_flat(read_by_ros(text))
 
 
 @pytest.mark.parametrize(
@@ -481,10 +498,10 @@ def test_other_ways_to_write_a_section_count_as_in_ros(
         ("/other:\n  ros__parameters: {a: 1}\n", ["no section for /gearbox"]),
         ("/**:\n  ros__parameters:\n", ["line 2", "ros__parameters", "no value"]),
         ("/**:\n  ros__parameters: 3\n", ["/**", "ros__parameters", "mapping"]),
-        ("/**:\n  ros__parameters: {}\n  more: 1\n", ["/**", "alone"]),
+        ("/**:\n  ros__parameters: {}\n  more: 1\n", ["/**", "nothing but ros__parameters", "remove more"]),
         (section("oil:\n      viscosity:"), ["line 4", "oil.viscosity has no value"]),
-        (section("oil: {viscosity: 1, viscosity: 2}"), ["line 3", "oil.viscosity stands twice"]),
-        (section("oil: {viscosity: 1}\n    oil.viscosity: 1"), ["oil.viscosity stands twice"]),
+        (section("oil: {viscosity: 1, viscosity: 2}"), ["line 3", "oil.viscosity is given twice"]),
+        (section("oil: {viscosity: 1}\n    oil.viscosity: 1"), ["oil.viscosity is given twice"]),
         (section("oil: {}"), ["oil is an empty mapping"]),
         (section("a: &x 1\n    b: *x"), ["line 4", "*x", "alias"]),
         (section("mesh: {error_cos: [1, 0.5]}"), ["mesh.error_cos mixes types"]),
@@ -496,9 +513,9 @@ def test_other_ways_to_write_a_section_count_as_in_ros(
         (section("oil: {viscosity: 1e400}"), ["oil.viscosity = '1e400'", "number"]),
         (section("gears: {driving: {teeth: 40.0}}"), ["gears.driving.teeth = 40.0", "write 40"]),
         (section("oils: {viscosity: 1.0}"), ["oils.viscosity", "did you mean oil.viscosity"]),
-        (section("oil: {viscosity: [1"), ["line", "no valid YAML"]),
-        (section("\toil: 1"), ["line 3", "no valid YAML"]),
-        (section("oil: \x01"), ["no valid YAML"]),
+        (section("oil: {viscosity: [1"), ["line", "not valid YAML"]),
+        (section("\toil: 1"), ["line 3", "not valid YAML"]),
+        (section("oil: \x01"), ["not valid YAML"]),
         (section("model: improved") + "---\n" + section("model: improved"), ["line 4", "second document"]),
         (section("a: " + "[" * 99 + "]" * 99), ["levels deep"]),
         ("? [a]\n: 1\n", ["line 1", "a name must be plain text"]),
@@ -507,7 +524,7 @@ def test_other_ways_to_write_a_section_count_as_in_ros(
 def test_a_file_that_can_t_be_is_refused_in_one_line(text: str, words: list[str], tmp_path: Path) -> None:
     file = file_of(tmp_path, text)
     with pytest.raises(UsageError) as refused:
-        load(file)
+        load_parameters(file)
     message = str(refused.value)
     assert message.startswith(f"{file}: ") and "\n" not in message
     assert all(word in message for word in words), message
@@ -515,12 +532,12 @@ def test_a_file_that_can_t_be_is_refused_in_one_line(text: str, words: list[str]
 
 def test_a_file_that_can_t_be_read_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"missing\.yaml: it can't be read: No such file"):
-        load(tmp_path / "missing.yaml")
+        load_parameters(tmp_path / "missing.yaml")
     with pytest.raises(UsageError, match="can't be read: Is a directory"):
-        load(tmp_path)
+        load_parameters(tmp_path)
     (tmp_path / "latin.yaml").write_bytes("/**: \N{MICRO SIGN}".encode("latin-1"))
-    with pytest.raises(UsageError, match="no UTF-8 text"):
-        load(tmp_path / "latin.yaml")
+    with pytest.raises(UsageError, match="not UTF-8 text"):
+        load_parameters(tmp_path / "latin.yaml")
 
 
 # Settings on a command line
@@ -528,7 +545,7 @@ def test_a_file_that_can_t_be_read_is_refused(tmp_path: Path) -> None:
 
 def test_settings_override_the_file_and_are_read_alike(tmp_path: Path) -> None:
     file = file_of(tmp_path, section("bearings: {driving: {clearance: 2.0e-4}}"))
-    loaded = load(
+    loaded = load_parameters(
         file,
         [
             "bearings.driving.oil_clearance=3.0e-4",
@@ -564,7 +581,7 @@ def test_settings_override_the_file_and_are_read_alike(tmp_path: Path) -> None:
         ("sped=3", ["sped"]),
         ("oil=3", ["oil is a group"]),
         ("oil.viscosity={a: 1}", ["oil.viscosity", "mapping"]),
-        ("oil.viscosity=[1", ["oil.viscosity", "no valid YAML"]),
+        ("oil.viscosity=[1", ["oil.viscosity", "not valid YAML"]),
         ("oil.viscosity=-1", ["oil.viscosity = -1.0", ">= 0"]),
         ("oil.viscosity=thick", ["oil.viscosity = 'thick'", "number"]),
         ("mesh.error_cos=1e-6", ["mesh.error_cos = 1.0e-06", "list"]),
@@ -573,6 +590,6 @@ def test_settings_override_the_file_and_are_read_alike(tmp_path: Path) -> None:
 )
 def test_a_setting_that_can_t_be_is_refused_in_one_line(setting: str, words: list[str]) -> None:
     with pytest.raises(UsageError) as refused:
-        load(ROOT / "config" / "gearbox.yaml", [setting])
+        load_parameters(ROOT / "config" / "gearbox.yaml", [setting])
     message = str(refused.value)
     assert "\n" not in message and all(word in message for word in words), message

@@ -25,7 +25,7 @@ from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.recording.ring import Ring
 from gear_dynamics_ros.recording.sink import RecorderSink
 from gear_dynamics_ros.replay.verify import verify_recording
-from gear_dynamics_ros.simulation import checkpoints
+from gear_dynamics_ros.simulation import checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
 
@@ -38,7 +38,7 @@ class Recorded:
     def __init__(self, path: Path, **values: object) -> None:
         self.parameters = Parameters.from_flat(values)
         self.engine = Engine(self.parameters)
-        self.recorder = Recorder(path, self.parameters, self.engine.checkpoint(), 0)
+        self.recorder = Recorder(path, self.engine.checkpoint(), 0)
         sink = RecorderSink(self.recorder, self.engine)
         self.run = Run(self.engine, Encoder(self.parameters, 0), [sink])
 
@@ -55,12 +55,12 @@ def test_checkpoints_lie_an_interval_apart_and_hold_what_a_checkpoint_file_does(
     assert list(part.checkpoints) == [3 * CHUNK, 6 * CHUNK, 9 * CHUNK]
     file = tmp_path / "file.json"
     file.write_bytes(part.attachment(part.checkpoints[6 * CHUNK]))
-    saved = checkpoints.load(file)
-    engine = Engine(saved.parameters)
+    saved = checkpoint.load(file)
+    engine = Engine(saved.checkpoint.parameters)
     engine.restore(saved.checkpoint)
     samples = recording.open(tmp_path / "bag").waveform()
     assert engine.advance(CHUNK).samples.tobytes() == samples[6 * CHUNK : 7 * CHUNK].tobytes()
-    assert checkpoints.from_text(part.attachment(part.end).decode(), "end").checkpoint["sample"] == 10 * CHUNK
+    assert part.stored(part.end).checkpoint.sample == 10 * CHUNK
 
 
 def test_no_checkpoints_where_none_are_wanted(tmp_path: Path) -> None:
@@ -99,7 +99,7 @@ def test_a_split_that_waits_is_not_asked_for_twice(tmp_path: Path) -> None:
     made.steps(1)
     # the recorder's thread can't take anything while its lock is held
     with made.recorder._changed:
-        made.recorder.split(made.engine.checkpoint(), made.parameters)
+        made.recorder.split(made.engine.checkpoint())
         assert made.recorder.part_bytes == 0
     made.run.close()
     assert made.recorder.part_bytes > 0
@@ -176,12 +176,12 @@ sys.path.insert(0, {tests!r})
 from test_recorder import *
 made = Recorded(Path(sys.argv[1]), **{{"solver.step": 1e-5}})
 made.steps(20)
-made.recorder.split(made.engine.checkpoint(), made.parameters)
+made.recorder.split(made.engine.checkpoint())
 while made.recorder.stats.parts < 2:
     time.sleep(0.01)
 # not even the start of another part fits
 resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))
-made.recorder.split(made.engine.checkpoint(), made.parameters)
+made.recorder.split(made.engine.checkpoint())
 made.steps(20)
 made.run.close()
 print(made.recorder.error)
@@ -307,7 +307,7 @@ write = made.recorder.write
 made.recorder.write = lambda records: (handed.extend(records), write(records))
 if sys.argv[2] == "split":
     made.steps(5)
-    made.recorder.split(made.engine.checkpoint(), made.parameters)
+    made.recorder.split(made.engine.checkpoint())
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[3]), resource.RLIM_INFINITY))
 made.steps(150)
 made.run.close()

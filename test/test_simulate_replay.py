@@ -12,9 +12,9 @@ from conftest import StartProcess
 from test_verify import perform
 
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.cli.replay import main as replay_main
-from gear_dynamics_ros.cli.simulate import main as simulate_main
-from gear_dynamics_ros.parameters import Parameters, load, updated
+from gear_dynamics_ros.cli.replay import replay_main
+from gear_dynamics_ros.cli.simulate import simulate_main
+from gear_dynamics_ros.parameters import Parameters, load_parameters, updated
 from gear_dynamics_ros.replay.verify import verify_recording
 from gear_dynamics_ros.simulation.engine import Engine
 
@@ -34,7 +34,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_simulate_records_what_the_engine_gives(bag: Path) -> None:
-    expected = Engine(load(CONFIG / "paper.yaml")).advance(2000)
+    expected = Engine(load_parameters(CONFIG / "paper.yaml")).advance(2000)
     assert recording.open(bag).waveform().tobytes() == expected.samples.tobytes()
 
 
@@ -74,7 +74,9 @@ def test_a_trip_ends_with_the_reason_and_a_complete_recording(
     words = ("--set", "operation.drive_torque=190.0", "--set", "operation.speed_limit=1640.0")
     assert simulate(path, *words, duration="0.1") == 1
     error = capsys.readouterr().err
-    assert "over-speed" in error and "operation.speed_limit = 1640" in error and error.count("\n") == 1
+    warning, reason = error.splitlines()
+    assert "does not balance" in warning
+    assert "over-speed" in reason and "operation.speed_limit = 1640" in reason
     opened = recording.open(path)
     assert opened.complete
     assert opened.events[-1].kind == "end" and "over-speed" in opened.events[-1].message
@@ -128,7 +130,7 @@ def test_a_signal_leaves_a_complete_recording_even_if_repeated(
     running.signal(number)
     running.signal(signal.SIGINT)
     assert running.wait() in (128 + number, 128 + signal.SIGINT)
-    assert "broken off by SIG" in running.stderr and "Traceback" not in running.stderr
+    assert "interrupted by SIG" in running.stderr and "Traceback" not in running.stderr
     bag = recording.open(path)
     assert bag.complete and bag.events[-1].message.startswith("SIG")
     assert verify_recording(bag).difference is None

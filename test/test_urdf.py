@@ -22,11 +22,12 @@ from urdf_parser_py.urdf import URDF
 from gear_dynamics_ros.messages.cdr import deserialize
 from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.physics.derived import base_radii
+from gear_dynamics_ros.physics.constants import base_radii
 from gear_dynamics_ros.ros.node_topics import quality
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.topics import JOINT_STATE, TOPICS, WRENCH, resolve
-from gear_dynamics_ros.urdf import main, urdf
+from gear_dynamics_ros.urdf.__main__ import urdf_main
+from gear_dynamics_ros.urdf.description import robot_description
 
 SOURCE = Path(__file__).resolve().parent.parent
 PATIENCE = 120.0
@@ -35,7 +36,7 @@ UNEQUAL = Parameters.from_flat({"gears.driving.teeth": 25, "gears.driven.teeth":
 
 def parsed(parameters):
     # The parser reports tags that it does not know; ros2_control is not its business.
-    tree = ElementTree.fromstring(urdf(parameters))
+    tree = ElementTree.fromstring(robot_description(parameters))
     tree.remove(tree.find("ros2_control"))
     return URDF.from_xml_string(ElementTree.tostring(tree))
 
@@ -79,7 +80,7 @@ def crossing(points, through, along):
 
 
 def test_the_shipped_file_is_what_the_defaults_print(capsys):
-    assert main([]) == 0
+    assert urdf_main([]) == 0
     assert capsys.readouterr().out == (SOURCE / "urdf/gearbox.urdf").read_text()
 
 
@@ -145,7 +146,7 @@ def test_forces_are_given_in_frames_that_stand_as_the_model_does(prefix):
 
 
 def test_prefix_and_node_reach_every_name():
-    text = urdf(Parameters.from_flat({"joint_prefix": "left_"}), "/cell/left")
+    text = robot_description(Parameters.from_flat({"joint_prefix": "left_"}), "/cell/left")
     names = {element.get("name") for element in ElementTree.fromstring(text) if element.tag != "ros2_control"}
     assert {"left_driving", "left_driven", "left_mesh", "left_driving_bearing"} <= names
     assert all(name.startswith("left_") for name in names)
@@ -157,7 +158,7 @@ def test_prefix_and_node_reach_every_name():
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--node", "gearbox"], "give one like /gearbox"),
+        (["--node", "gearbox"], "write it like /gearbox"),
         (["--set", "gears.module=-1"], "gears.module"),
         (["--params-file", "none.yaml"], "none.yaml"),
     ],
@@ -237,7 +238,9 @@ def test_the_block_commands_a_running_gearbox(ros_domain, process):
     overrides = [word for setting in start for word in ("-p", setting)]
     gearbox = process(sys.executable, "-m", "gear_dynamics_ros.cli.gearbox", "--ros-args", *overrides)
     values = {"operation.speed": 900.0, "operation.load_torque": 12.0}
-    plugin = Plugin(ElementTree.fromstring(urdf(Parameters.from_flat(values))).find("ros2_control"))
+    plugin = Plugin(
+        ElementTree.fromstring(robot_description(Parameters.from_flat(values))).find("ros2_control")
+    )
     try:
         plugin.until(lambda: plugin.states and plugin.applied)
         assert set(plugin.joints) == set(plugin.states[0].name)

@@ -22,7 +22,7 @@ from mcap.reader import make_reader
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.channels import CHANNEL_NAMES, COLUMN, PACE
 from gear_dynamics_ros.chunk import Commands
-from gear_dynamics_ros.cli.replay import main as replay_main
+from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.cdr import message_class, serialize
 from gear_dynamics_ros.messages.encoder import Encoder
@@ -67,7 +67,7 @@ def received(commands: Commands | None) -> list[tuple[str, bytes]]:
 def perform(path: Path, deeds: Sequence[Any], parameters: Parameters) -> Path:
     """Recording of a run in which ``deeds`` were done between its chunks, and one chunk more."""
     engine = Engine(parameters)
-    recorder = Recorder(path, parameters, engine.checkpoint(), 0)
+    recorder = Recorder(path, engine.checkpoint(), 0)
     sink = RecorderSink(recorder, engine)
     encoder = Encoder(parameters, 0)
     run = Run(engine, encoder, [sink])
@@ -84,7 +84,7 @@ def perform(path: Path, deeds: Sequence[Any], parameters: Parameters) -> Path:
             saved = (engine.parameters, run.checkpoint())
         elif deed == "restore":
             run.change(change_to(engine.parameters, saved[0]))
-            run.restore(saved[1], "as saved")
+            run.resume(saved[1], "as saved")
         elif deed == "split":
             sink.split()
         elif deed == "tell":
@@ -162,7 +162,7 @@ def test_what_a_ring_holds_comes_out_again(deeds: list[Any], held: float) -> Non
         elif deed == "save":
             saved = run.checkpoint()
         elif deed == "restore":
-            run.restore(saved)
+            run.resume(saved)
         else:
             run.step(deed if isinstance(deed, Commands) else None)
     run.step()
@@ -263,7 +263,7 @@ def entry(name: str, index: int | None = None) -> Any:
     """Change of an entry of a state to the next double."""
 
     def change(content: dict[str, Any]) -> None:
-        state = content.get("checkpoint", content)["state"]
+        state = content["checkpoint"]["state"]
         if index is None:
             state[name] = float(np.nextafter(state[name], np.inf))
         else:
@@ -280,7 +280,7 @@ def entry(name: str, index: int | None = None) -> Any:
         entry("omega", 0),
         entry("governor"),
         entry("mesh_loss"),
-        lambda content: content.get("checkpoint", content)["commands"].update(speed=1.0),
+        lambda content: content["checkpoint"]["commands"].update(speed=1.0),
     ],
 )
 def test_an_altered_state_is_found(bag: Path, tmp_path: Path, name: str, change: Any) -> None:
@@ -323,7 +323,7 @@ def replaced(wanted: str, old: bytes, new: bytes | None) -> Any:
         ("message", "model_info", b'"told": 1', None),
         ("message", "pacing", b"late", b"hate"),
         ("message", "pacing", b"late", None),
-        ("attachment", "start.json", b'"impact_speed": [0.001', b'"impact_speed": [0.002'),
+        ("attachment", "start.json", b'"impact_speed": [\n    0.001', b'"impact_speed": [\n    0.002'),
     ],
 )
 def test_what_no_sample_depends_on_is_guarded_too(
@@ -356,11 +356,11 @@ def test_the_digests_are_those_that_the_documentation_describes(bag: Path) -> No
                 if channel.topic not in NOT_TOLD
             ]
             (run,) = (record.metadata for record in reader.iter_metadata() if record.name != "rosbag2")
-        names = ("version", "kernel_hash", "epoch_ns", "node", "sample_interval_ns")
-        lines = [f"{name}={run[name]}\n" for name in (*names, "processor", "compiler", "libraries")]
+        names = ("version", "kernel_hash", "model_hash", "processor", "compiler", "libraries")
+        lines = [f"{name}={run[name]}\n" for name in (*names, "epoch_ns", "node", "sample_interval_ns")]
         opening = numbered("".join(lines).encode())
         opening += numbered(attached["parameters.yaml"].data) + numbered(attached["start.json"].data)
-        begin = int(json.loads(attached["start.json"].data)["sample"]) * 10_000
+        begin = int(json.loads(attached["start.json"].data)["checkpoint"]["sample"]) * 10_000
         later = [name for name in attached if name not in ("parameters.yaml", "start.json")]
         for name in later:
             end = math.inf if name == "end.json" else attached[name].log_time
@@ -368,12 +368,14 @@ def test_the_digests_are_those_that_the_documentation_describes(bag: Path) -> No
                 topic + time.to_bytes(8, "little") + data for time, topic, data in told if begin <= time < end
             ]
             expected = hashlib.sha256(opening + b"".join(stretch)).hexdigest()
-            assert json.loads(attached[name].data)["history"] == expected
+            assert json.loads(attached[name].data)["digest"] == expected
             opening, begin = numbered(attached[name].data), attached[name].log_time
         assert later[-1] == "end.json" and len(later) >= 2
 
 
-@pytest.mark.parametrize("name", ["version", "kernel_hash", "processor", "epoch_ns"])
+@pytest.mark.parametrize(
+    "name", ["version", "kernel_hash", "model_hash", "processor", "libraries", "epoch_ns"]
+)
 def test_an_altered_description_of_the_run_is_found(
     bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
@@ -384,6 +386,20 @@ def test_an_altered_description_of_the_run_is_found(
 
     monkeypatch.setattr(altering.Writer, "add_metadata", other)
     assert is_refused(recording.open(alter(bag, tmp_path / "x")))
+
+
+def test_another_epoch_leaves_messages_between_samples(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    add = altering.Writer.add_metadata
+
+    def other(writer: Any, record: str, entries: dict[str, str]) -> None:
+        add(writer, record, entries | {"epoch_ns": "7"} if "epoch_ns" in entries else entries)
+
+    monkeypatch.setattr(altering.Writer, "add_metadata", other)
+    altered = alter(bag, tmp_path / "x")
+    with pytest.raises(GearboxError, match="time 290000 ns is that of no sample"):
+        recording.open(altered)
 
 
 @pytest.mark.parametrize("topic", ["event", "model_info", "dte", "waveform"])
@@ -453,7 +469,7 @@ def test_from_behind_a_lost_chunk_goes_on(bag: Path, tmp_path: Path) -> None:
 def test_a_recording_without_a_message_verifies_unless_it_broke_off(tmp_path: Path) -> None:
     parameters = Parameters.from_flat(SHORT)
     engine = Engine(parameters)
-    RecorderSink(Recorder(tmp_path / "bag", parameters, engine.checkpoint(), 0), engine).close()
+    RecorderSink(Recorder(tmp_path / "bag", engine.checkpoint(), 0), engine).close()
     result = verify_recording(recording.open(tmp_path / "bag"))
     assert (result.difference, result.samples, result.states) == (None, 0, 1)
     content = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
@@ -547,7 +563,8 @@ def test_a_difference_is_told_with_both_values_and_what_else_differs(
 def test_another_processor_or_kernel_is_named(bag: Path) -> None:
     read = recording.open(bag)
     assert origins(read) == []
-    read.run = read.run._replace(processor="an abacus", kernel_hash="0" * 64)
+    other = read.run.provenance._replace(processor="an abacus", kernel_hash="0" * 64)
+    read.run = read.run._replace(provenance=other)
     kernel, processor = origins(read)
     assert kernel.startswith("kernel hash: recorded by 000")
     assert processor.startswith("processor: recorded by an abacus, this is ")
@@ -640,7 +657,7 @@ def test_commands_of_the_start_told_otherwise_are_found(tmp_path: Path, name: st
     whole = perform(
         tmp_path / "bag", ["step"], Parameters.from_flat({**SHORT, "operation.control": "torque"})
     )
-    change = in_json("start.json", lambda content: bump_entry(content["commands"], name))
+    change = in_json("start.json", lambda content: bump_entry(content["checkpoint"]["commands"], name))
     difference = verify_recording(recording.open(alter(whole, tmp_path / "x", attachment=change))).difference
     assert difference is not None and name in difference.what
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import Any, Final
 
+from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
+
+from gear_dynamics_ros.errors import GearboxError
 
 TYPESTORE: Final = get_typestore(Stores.ROS2_JAZZY)
 
@@ -15,8 +18,11 @@ def serialize(type_name: str, message: Any) -> bytes:
 
 
 def deserialize(type_name: str, data: bytes | memoryview) -> Any:
-    """Message of the type ``type_name`` from CDR."""
-    return TYPESTORE.deserialize_cdr(data, type_name)
+    """Message of the type ``type_name`` from CDR. Raises GearboxError if ``data`` hold none."""
+    try:
+        return TYPESTORE.deserialize_cdr(data, type_name)
+    except SerdeError as error:
+        raise GearboxError(f"no CDR of {type_name}: {error}") from error
 
 
 def message_class(type_name: str) -> Any:

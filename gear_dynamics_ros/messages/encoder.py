@@ -85,6 +85,7 @@ class Encoder:
         self._all_channels = self._columns in (list(range(len(CHANNELS))), list(range(len(COLUMN))))
         self._waveform = _Packer("sample", self._channels)
         self._energy = _Packer("sample", [energy.name for energy in ENERGIES])
+        self._clock_ns = round(1e9 / parameters.clock_rate) if parameters.clock_rate > 0.0 else 0
         self._impacts = _Packer("impact", [entry.name for entry in IMPACTS])
         self._pacing = _Packer("report", [entry.name for entry in PACE])
         self._joint_state = _Stamped(_still(self._joints), _JOINT_NUMBERS)
@@ -111,6 +112,8 @@ class Encoder:
         }
         if len(chunk.impacts):
             payloads["impacts"] = self._impacts.pack(chunk.impacts)
+        if self._ticks(chunk):
+            payloads["clock"] = serialize(CLOCK, message_class(CLOCK)(clock=stamp(time_ns)))
         payloads["waveform"] = self._waveform.pack(self._picked(chunk.samples))
         return [Record(topic, time_ns, data) for topic, data in payloads.items()]
 
@@ -129,7 +132,7 @@ class Encoder:
     def event(
         self, kind: str, sample: int, message: str, counters: Counters, **details: Mapping[str, Any]
     ) -> Record:
-        """An event (reset, pause, resume, end ...) that happened before ``sample`` was made.
+        """An operator event (reset, pause, resume, end ...) that happened before ``sample`` was made.
 
         ``details`` are entries of its own, such as the parameters that changed.
         """
@@ -148,9 +151,12 @@ class Encoder:
         """Description of the model from ``time_ns`` on."""
         return Record("model_info", time_ns, serialize(STRING, message_class(STRING)(data=text)))
 
-    def clock(self, time_ns: int) -> Record:
-        """Simulated time for others to follow."""
-        return Record("clock", time_ns, serialize(CLOCK, message_class(CLOCK)(clock=stamp(time_ns))))
+    def _ticks(self, chunk: Chunk) -> bool:
+        """Whether a multiple of 1/clock_rate lies in the chunk: that does not depend on where a run began."""
+        if not self._clock_ns:
+            return False
+        next_tick_ns = -(-chunk.start_ns // self._clock_ns) * self._clock_ns
+        return next_tick_ns < chunk.start_ns + len(chunk) * chunk.interval_ns
 
     def _joint_states(self, time_ns: int, last: dict[str, float], angles: list[float]) -> bytes:
         return self._joint_state.pack(

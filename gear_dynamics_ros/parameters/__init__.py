@@ -7,41 +7,47 @@ from gear_dynamics_ros.parameters.changes import (
     differences,
     updated,
 )
-from gear_dynamics_ros.parameters.tree import (
-    NODE,
-    Bearing,
-    Gear,
-    Gears,
-    Operation,
-    Pacing,
-    Parameters,
-    Specification,
-    dump,
-    load,
-    parse,
+from gear_dynamics_ros.parameters.checks import MOST_WAVES_PER_REVOLUTION
+from gear_dynamics_ros.parameters.groups import (
+    BearingParameters,
+    GearPairParameters,
+    GearParameters,
+    OperationParameters,
+    PacingParameters,
+)
+from gear_dynamics_ros.parameters.markdown_page import parameters_page
+from gear_dynamics_ros.parameters.ros_file import (
+    GEARBOX_NODE_NAME,
+    dump_parameters,
+    load_parameters,
+    parse_parameters,
     read_settings,
-    reference,
+)
+from gear_dynamics_ros.parameters.specification import Specification
+from gear_dynamics_ros.parameters.tree import (
+    Parameters,
     specifications,
 )
 
 __all__ = [
-    "NODE",
-    "Bearing",
-    "Gear",
-    "Gears",
-    "Operation",
-    "Pacing",
+    "GEARBOX_NODE_NAME",
+    "MOST_WAVES_PER_REVOLUTION",
+    "BearingParameters",
+    "GearPairParameters",
+    "GearParameters",
+    "OperationParameters",
+    "PacingParameters",
     "ParameterChange",
     "Parameters",
     "Specification",
     "change_to",
     "change_values",
     "differences",
-    "dump",
-    "load",
-    "parse",
+    "dump_parameters",
+    "load_parameters",
+    "parameters_page",
+    "parse_parameters",
     "read_settings",
-    "reference",
     "specifications",
     "updated",
 ]

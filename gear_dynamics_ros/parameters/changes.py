@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.parameters.tree import Parameters, Value, _text, specifications
+from gear_dynamics_ros.parameters.specification import Value, value_text
+from gear_dynamics_ros.parameters.tree import Parameters, specifications
 
 
 class ParameterChange(NamedTuple):
@@ -42,8 +43,8 @@ def change_to(old: Parameters, new: Parameters) -> ParameterChange:
     for name, value in values.items():
         if not specifications()[name].runtime:
             raise UsageError(
-                f"{name} = {_text(before[name])} is fixed while the gearbox runs: "
-                f"start it anew with {name} = {_text(value)}"
+                f"{name} = {value_text(before[name])} is fixed while the gearbox runs: "
+                f"start it anew with {name} = {value_text(value)}"
             )
     # A -0.0 for a 0.0 counts as no difference, and must make none to the bits either.
     return ParameterChange(old, updated(old, values), values)

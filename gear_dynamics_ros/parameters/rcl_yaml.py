@@ -1,7 +1,7 @@
-"""YAML as rcl_yaml_param_parser reads it, so that every program reads a file to the same values.
+"""YAML as rcl reads it: own code, as PyYAML and rcl read numbers differently, and node and tools must agree.
 
-It differs from YAML 1.1 and PyYAML: 3.0e8 and 1e-6 are numbers, 010 is octal, 08 a float; 1_000, ~ and 12:30
-are text; aliases are refused. Names that stand twice, which rcl lets pass, are refused as well.
+For rcl_yaml_param_parser 3.0e8 and 1e-6 are numbers (text for PyYAML), 010 is octal, 08 a float; 1_000, ~ and
+12:30 are text. Aliases are an error. A name given twice, which rcl accepts, is an error here.
 """
 
 from __future__ import annotations
@@ -11,19 +11,18 @@ import math
 import re
 import sys
 from collections.abc import Iterator
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import yaml
 
 from gear_dynamics_ros.errors import UsageError
 
 Scalar: TypeAlias = bool | int | float | str
-Tree: TypeAlias = "Scalar | list[Tree] | dict[str, Tree]"
+YamlTree: TypeAlias = "Scalar | list[YamlTree] | dict[str, YamlTree]"
 
-SMALLEST_NORMAL = (
-    sys.float_info.min
-)  # below it strtod reports an underflow, and rcl takes the text for a string
-DEEPEST = 50
+# Below it strtod reports an underflow, and rcl takes the text for a string.
+SMALLEST_NORMAL: Final = sys.float_info.min
+DEEPEST: Final = 50
 
 _TRUE = frozenset(["Y", "y", "yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"])
 _FALSE = frozenset(["N", "n", "no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"])
@@ -35,12 +34,12 @@ _HEXADECIMAL = re.compile(
 _DOTTED = re.compile(r"[+-]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 _NAMED = re.compile(r"\s*([+-]?)(inf|infinity|nan)(\(\w*\))?", re.ASCII | re.IGNORECASE)
 _WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_OF_OTHER_READERS = frozenset(["null", "Null", "NULL"])  # text for rcl, nothing for YAML
+_NULL_ELSEWHERE = frozenset(["null", "Null", "NULL"])  # text for rcl, null for other YAML readers
 _TEXT_TAG = "tag:yaml.org,2002:str"
 
 
-def resolve(text: str) -> Scalar:
-    """A plain scalar as rcl takes it: a boolean of its list, or by C's strtol, or by strtod, or text."""
+def resolve_scalar(text: str) -> Scalar:
+    """Value of a plain scalar in rcl: one of its words for booleans, by C's strtol, by strtod, or text."""
     if text in _TRUE or text in _FALSE:
         return text in _TRUE
     integer = _integer(text)
@@ -50,8 +49,13 @@ def resolve(text: str) -> Scalar:
     return text if number is None else number
 
 
-def parse_yaml(text: str) -> Tree:
-    """The one document in ``text`` as dicts, lists and scalars. Raises UsageError with the line."""
+def parse_yaml(text: str) -> YamlTree:
+    """The document in ``text`` as dicts, lists and scalars.
+
+    Raises UsageError, with the line where there is one, if ``text`` is empty or not valid YAML, has a second
+    document, an alias or more than DEEPEST levels, or a name that is given twice, has no value, or is not
+    plain printable text.
+    """
     events = _events(text)
     next(events)
     if isinstance(next(events), yaml.StreamEndEvent):
@@ -60,24 +64,24 @@ def parse_yaml(text: str) -> Tree:
     next(events)
     following = next(events)
     if not isinstance(following, yaml.StreamEndEvent):
-        raise UsageError(f"{_line(following)}: a second document begins: leave one")
+        raise UsageError(f"{_line(following)}: a second document begins: remove it")
     return tree
 
 
 def scalar_text(value: Scalar) -> str:
-    """A scalar as text that rcl, ``parse_yaml`` and other YAML readers take for the same value."""
+    """A scalar as text that rcl, ``parse_yaml`` and other YAML readers read to the same value."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):
         return _float_text(value)
     if isinstance(value, str):
-        plain = _WORD.fullmatch(value) and resolve(value) == value and value not in _OF_OTHER_READERS
+        plain = _WORD.fullmatch(value) and resolve_scalar(value) == value and value not in _NULL_ELSEWHERE
         return value if plain else json.dumps(value, ensure_ascii=False)
     return str(value)
 
 
 def _integer(text: str) -> int | None:
-    """strtol with base 0; None where it stops early (08) or overflows, which leaves the text to strtod."""
+    """strtol with base 0; None where it stops early (08) or overflows: rcl then calls strtod."""
     match = _INTEGER.fullmatch(text)
     if match is None:
         return None
@@ -88,7 +92,7 @@ def _integer(text: str) -> int | None:
 
 
 def _float(text: str) -> float | None:
-    """strtod; None where it does not take the whole text, overflows or underflows, which leave a string."""
+    """strtod; None where it stops early, overflows or underflows: rcl then takes the text for a string."""
     if _DOTTED.fullmatch(text):
         return float(text.replace(".", ""))
     named = _NAMED.fullmatch(text)
@@ -119,17 +123,17 @@ def _events(text: str) -> Iterator[Any]:
         yield from yaml.parse(text, Loader=yaml.SafeLoader)
     except yaml.MarkedYAMLError as error:
         line = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
-        raise UsageError(f"{line}no valid YAML: {error.problem}") from None
+        raise UsageError(f"{line}not valid YAML: {error.problem}") from None
     except yaml.YAMLError as error:
-        raise UsageError(f"no valid YAML: {' '.join(str(error).split())}") from None
+        raise UsageError(f"not valid YAML: {' '.join(str(error).split())}") from None
 
 
-def _node(event: Any, events: Iterator[Any], name: str, depth: int) -> Tree:
+def _node(event: Any, events: Iterator[Any], name: str, depth: int) -> YamlTree:
     if depth > DEEPEST:
-        raise UsageError(f"{_line(event)}: more than {DEEPEST} levels deep: flatten it")
+        raise UsageError(f"{_line(event)}: more than {DEEPEST} levels deep: reduce the nesting")
     if isinstance(event, yaml.AliasEvent):
         raise UsageError(
-            f"{_line(event)}: *{event.anchor} is an alias, which ROS refuses: write the value out"
+            f"{_line(event)}: *{event.anchor} is an alias, which ROS refuses: write the value itself"
         )
     if isinstance(event, yaml.ScalarEvent):
         return _scalar(event, name)
@@ -138,24 +142,26 @@ def _node(event: Any, events: Iterator[Any], name: str, depth: int) -> Tree:
     return _mapping(events, name, depth)
 
 
-def _sequence(events: Iterator[Any], name: str, depth: int) -> list[Tree]:
-    entries: list[Tree] = []
+def _sequence(events: Iterator[Any], name: str, depth: int) -> list[YamlTree]:
+    entries: list[YamlTree] = []
     while not isinstance(event := next(events), yaml.SequenceEndEvent):
         entries.append(_node(event, events, f"{name}[{len(entries)}]", depth + 1))
     return entries
 
 
-def _mapping(events: Iterator[Any], name: str, depth: int) -> dict[str, Tree]:
-    entries: dict[str, Tree] = {}
+def _mapping(events: Iterator[Any], name: str, depth: int) -> dict[str, YamlTree]:
+    entries: dict[str, YamlTree] = {}
     while not isinstance(event := next(events), yaml.MappingEndEvent):
         if not isinstance(event, yaml.ScalarEvent):
             raise UsageError(f"{_line(event)}: a name must be plain text")
         key = str(event.value)
         if not key.isprintable():
-            raise UsageError(f"{_line(event)}: the name {key!r} holds characters that can't be printed")
+            raise UsageError(
+                f"{_line(event)}: the name {key!r} contains characters that can't be printed: remove them"
+            )
         path = f"{name}.{key}" if name else key
         if key in entries:
-            raise UsageError(f"{_line(event)}: {path} stands twice: leave one")
+            raise UsageError(f"{_line(event)}: {path} is given twice: remove one")
         entries[key] = _node(next(events), events, path, depth + 1)
     return entries
 
@@ -165,8 +171,8 @@ def _scalar(event: Any, name: str) -> Scalar:
     if event.style in ("'", '"') or event.tag == _TEXT_TAG:
         return text
     if not text:
-        raise UsageError(f"{_line(event)}: {name or 'it'} has no value: give one, '' for empty text")
-    return resolve(text)
+        raise UsageError(f"{_line(event)}: {name or 'it'} has no value: write one, '' for empty text")
+    return resolve_scalar(text)
 
 
 def _line(event: Any) -> str:

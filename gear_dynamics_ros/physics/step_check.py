@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gear_dynamics_ros.parameters import Bearing, Parameters
-from gear_dynamics_ros.physics import derived
+from gear_dynamics_ros.parameters import BearingParameters, Parameters
+from gear_dynamics_ros.physics.constants import base_radii, film_factor, hertz_factor, mesh_damping
 
 # Where RK4 becomes unstable: on an undamped oscillation and on a pure decay.
 OSCILLATION_LIMIT = 2.0 * math.sqrt(2.0)
@@ -42,11 +42,6 @@ class Check(NamedTuple):
             f"{self.limit:.3g}: {self.consequence}; "
             f"lower solver.step to {self.limit / self.rate:.2g} s or less"
         )
-
-
-def warnings(parameters: Parameters, speed: float | None = None) -> list[str]:
-    """A line for each rate that is too high for the step; ``speed`` in rad/s as ``checks`` takes it."""
-    return [check.message for check in checks(parameters, speed) if not check.holds]
 
 
 def checks(parameters: Parameters, speed: float | None = None) -> list[Check]:
@@ -86,7 +81,7 @@ def natural_frequency(parameters: Parameters) -> float:
     deeper, whose stiffness grows with the cube root of their force.
     """
     gears, mesh = parameters.gears, parameters.mesh
-    r1, r2 = derived.base_radii(parameters)
+    r1, r2 = base_radii(parameters)
     per_mass = np.array(
         [r1**2 / gears.driving.inertia + r2**2 / gears.driven.inertia]
         + [1.0 / gear.mass for gear in (gears.driving, gears.driven)]
@@ -126,7 +121,7 @@ def stiffness_peak(parameters: Parameters) -> float:
 def static_load(parameters: Parameters) -> float:
     """Force of the mesh and of each bearing under the torques of the start, N."""
     operation = parameters.operation
-    r1, r2 = derived.base_radii(parameters)
+    r1, r2 = base_radii(parameters)
     return max(abs(operation.drive_torque) / r1, abs(operation.load_torque) / r2)
 
 
@@ -145,7 +140,7 @@ def static_depth(parameters: Parameters, side: str) -> float:
     load = static_load(parameters)
     if parameters.model == "traditional":
         return load / bearing.kelvin_stiffness
-    ratio = load / derived.hertz_factor(parameters, bearing.length)
+    ratio = load / hertz_factor(parameters, bearing.length)
     depth = 0.0
     for _ in range(100):  # contracts, the faster the smaller the depth beside the clearance
         depth = (ratio * math.sqrt(bearing.clearance + depth)) ** (2.0 / 3.0)
@@ -155,10 +150,10 @@ def static_depth(parameters: Parameters, side: str) -> float:
 def mesh_damping_rate(parameters: Parameters) -> float:
     """Rate at which mesh damping slows the approach of free gears, 1/s."""
     gears = parameters.gears
-    r1, r2 = derived.base_radii(parameters)
+    r1, r2 = base_radii(parameters)
     per_mass = r1**2 / gears.driving.inertia + r2**2 / gears.driven.inertia
     per_mass += radial_factor(parameters) * (1.0 / gears.driving.mass + 1.0 / gears.driven.mass)
-    return derived.mesh_damping(parameters) * per_mass
+    return mesh_damping(parameters) * per_mass
 
 
 def kelvin_damping_rate(parameters: Parameters, side: str) -> float:
@@ -177,7 +172,7 @@ def film_damping_rate(parameters: Parameters, side: str) -> float:
     reached = (bearing.clearance + static_depth(parameters, side)) / bearing.oil_clearance
     eps = min(reached, parameters.oil.eccentricity_limit)
     mass: float = getattr(parameters.gears, side).mass
-    return film_damping(derived.film_factor(parameters, bearing) / bearing.oil_clearance, eps) / mass
+    return film_damping(film_factor(parameters, bearing) / bearing.oil_clearance, eps) / mass
 
 
 def film_damping(scale: float, eps: float) -> float:
@@ -198,7 +193,7 @@ def waves_per_turn(parameters: Parameters) -> float:
     return parameters.gears.driving.teeth * shortest
 
 
-def bearing_of(parameters: Parameters, side: str) -> Bearing:
+def bearing_of(parameters: Parameters, side: str) -> BearingParameters:
     """Bearing of the ``side`` gear."""
-    bearing: Bearing = getattr(parameters.bearings, side)
+    bearing: BearingParameters = getattr(parameters.bearings, side)
     return bearing

@@ -14,8 +14,13 @@ from typing import TypeVar
 from gear_dynamics_ros.chunk import Chunk, Counters
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages.encoder import Encoder, Record
-from gear_dynamics_ros.parameters import Operation, ParameterChange, Parameters, change_values
-from gear_dynamics_ros.realtime.mailbox import RELEASED, Mailbox
+from gear_dynamics_ros.parameters import (
+    OperationParameters,
+    ParameterChange,
+    Parameters,
+    change_values,
+)
+from gear_dynamics_ros.realtime.mailbox import Delivery, Mailbox
 from gear_dynamics_ros.realtime.pacing import Pace, Pacer
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
@@ -51,13 +56,11 @@ class EngineThread:
         self,
         run: Run,
         mailbox: Mailbox,
-        after_chunk: Callable[[Chunk], Sequence[Record]],
         on_end: Callable[[], None],
     ) -> None:
-        """``after_chunk`` may add messages to a chunk's; ``on_end`` is called at the end, on the thread."""
+        """``on_end`` is called at the end, on the thread."""
         self.run = run
         self.mailbox = mailbox
-        self._after_chunk = after_chunk
         self._on_end = on_end
         solver = run.engine.parameters.solver
         self._interval_ns = solver.sample_interval_ns
@@ -197,7 +200,7 @@ class EngineThread:
             return self._pacer.report(time.monotonic_ns())
 
     @property
-    def _operation(self) -> Operation:
+    def _operation(self) -> OperationParameters:
         return self.run.engine.parameters.operation
 
     def _restart_clocks(self) -> None:
@@ -287,10 +290,8 @@ class EngineThread:
         with self._pacer_lock:
             self._pacer.begun(self._chunk_ns, now)
         delivery = self.mailbox.take(now)
-        timeout = self._operation.command_timeout
-        self._timed_out = timeout > 0.0 and delivery.age_ns > timeout * 1e9
-        released = RELEASED if self._timed_out and self._operation.on_timeout == "release" else {}
-        chunk = self._chunk({**delivery.changes, **released}, delivery.received)
+        self._check_timeout(delivery)
+        chunk = self._chunk(delivery)
         with self._pacer_lock:
             late_ns = self._pacer.done(len(chunk) * self._interval_ns, time.monotonic_ns())
         if late_ns:
@@ -301,18 +302,25 @@ class EngineThread:
         if steps.expired(now):
             self._give_up_steps(f"timed out: {steps.timeout:g} s (stepping.timeout) are over")
             return
-        delivery = self.mailbox.take(now)
-        self._chunk(delivery.changes, delivery.received)
+        self._chunk(self.mailbox.take(now))
         steps.made += 1
         if steps.made == steps.chunks and not self.run.state.ended:
             self._steps = None
             steps.done.set_result(self.time)
 
-    def _chunk(self, changes: dict[str, float], received: Sequence[tuple[str, bytes]]) -> Chunk:
+    def _check_timeout(self, delivery: Delivery) -> None:
+        """Time out when commands cease to come, and again if something else has put torques in force."""
+        timeout = self._operation.command_timeout
+        before = self._timed_out
+        self._timed_out = timeout > 0.0 and not delivery.changes and delivery.age_ns > timeout * 1e9
+        if self._timed_out and (not before or self.run.unreleased):
+            self.run.time_out()
+
+    def _chunk(self, delivery: Delivery) -> Chunk:
+        changes = delivery.changes
         commands = self.run.engine.commands._replace(**changes) if changes else None
-        chunk = self.run.step(commands, received)
+        chunk = self.run.step(commands, delivery.received)
         self.counters = chunk.counters
-        self.run.write_records(self._after_chunk(chunk))
         return chunk
 
     def _overrun(self, late_ns: int) -> None:

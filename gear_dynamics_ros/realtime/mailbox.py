@@ -13,8 +13,6 @@ from gear_dynamics_ros.parameters import Parameters, specifications
 
 # Of a burst between two chunk edges as many are recorded; those before them had no effect.
 MOST_RECEIVED = 1000
-# What operation.on_timeout: release commands.
-RELEASED = {"drive_torque": 0.0, "load_torque": 0.0}
 
 
 class Delivery(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from gear_dynamics_ros.parameters import Pacing
+from gear_dynamics_ros.parameters import PacingParameters
 
 
 class Pace(NamedTuple):
@@ -25,13 +25,13 @@ class Pacer:
     move by the lateness, save what ``pacing.on_overrun: catch_up`` lets the next chunks make good.
     """
 
-    def __init__(self, pacing: Pacing, now_ns: int) -> None:
+    def __init__(self, pacing: PacingParameters, now_ns: int) -> None:
         self._overruns = 0
         self._worst_ns = 0
         self._slipped_ns = 0
         self.change(pacing, now_ns)
 
-    def change(self, pacing: Pacing, now_ns: int) -> None:
+    def change(self, pacing: PacingParameters, now_ns: int) -> None:
         """Go on as ``pacing`` says from ``now_ns`` on."""
         self._factor = pacing.real_time_factor
         self._allowed_ns = round(pacing.catch_up_limit * 1e9) if pacing.on_overrun == "catch_up" else 0

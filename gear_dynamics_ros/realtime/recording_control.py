@@ -136,10 +136,7 @@ class RecordingControl:
         return path
 
     def _recorder(self, path: Path) -> Recorder:
-        run = self._run
-        return Recorder(
-            path, run.engine.parameters, run.checkpoint(), self._epoch_ns, self._node, report=self._note
-        )
+        return Recorder(path, self._run.checkpoint(), self._epoch_ns, self._node, report=self._note)
 
     def _drop_stopped(self) -> None:
         if self._sink is not None and self._sink.recorder.error is not None:

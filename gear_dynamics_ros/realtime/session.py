@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
-from gear_dynamics_ros.chunk import Chunk
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.events import PAUSE, RESUME
 from gear_dynamics_ros.messages.encoder import Encoder, Record
@@ -21,7 +20,8 @@ from gear_dynamics_ros.realtime.pacing import Pace
 from gear_dynamics_ros.realtime.recording_control import RecordingControl
 from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.recording.ring import Excerpt
-from gear_dynamics_ros.simulation import checkpoints
+from gear_dynamics_ros.simulation import checkpoint
+from gear_dynamics_ros.simulation.checkpoint import Checkpoint
 from gear_dynamics_ros.simulation.engine import Engine, require_resumable
 from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.simulation.run_state import RunState
@@ -53,9 +53,7 @@ class Session:
         self._encoder = Encoder(parameters, self.epoch_ns)
         self._run = Run(engine, self._encoder, [*sinks, self.condition], duration=parameters.pacing.duration)
         self.recordings = RecordingControl(self._run, self.epoch_ns, node)
-        self.engine_thread = EngineThread(self._run, mailbox, self._clock, self._run_ended)
-        self._clock_ns = round(1e9 / parameters.clock_rate) if parameters.clock_rate > 0.0 else 0
-        self._next_clock_ns = 0
+        self.engine_thread = EngineThread(self._run, mailbox, self._run_ended)
         self._started = False
         self._record_after_restart = False  # the end of the run, and not the operator, ended the recording
         # A disk may take its time: neither the engine nor whoever serves the operator waits for it.
@@ -180,21 +178,21 @@ class Session:
     def save_checkpoint(self) -> Future[str]:
         """Write the state of this moment to ``checkpoint.path``."""
         path = self._checkpoint_path()
-        taken = self.engine_thread.request(lambda: checkpoints.take(self._run.engine))
-        return then_start(taken, lambda saved: self._disk.submit(self._save, path, saved))
+        taken = self.engine_thread.request(self._run.checkpoint)
+        return then_start(taken, lambda state: self._disk.submit(self._save, path, state))
 
     def restore_checkpoint(self) -> Future[str]:
-        """Go on from the state in ``checkpoint.path``."""
+        """Resume from the state in ``checkpoint.path``; simulated time goes on."""
         path = self._checkpoint_path()
-        saved = checkpoints.load(path)
-        require_resumable(saved.checkpoint)
+        stored = checkpoint.load(path)
+        require_resumable(stored.checkpoint)
 
-        def restore() -> None:
+        def resume() -> None:
             running = self.parameters
-            self.engine_thread.change(change_to(running, checkpoints.continued(saved, running)))
-            self._run.restore(saved.checkpoint, str(path))
+            self.engine_thread.change(change_to(running, checkpoint.continued(stored, running)))
+            self._run.resume(stored.checkpoint, str(path))
 
-        return self._restart(f"restored {path}", restore)
+        return self._restart(f"restored {path}", resume)
 
     def _restart(self, words: str, begin: Callable[[], None]) -> Future[str]:
         """Put the run anew where ``begin`` does; record anew if its end had closed the recording."""
@@ -224,9 +222,9 @@ class Session:
     def _write(self, excerpt: Excerpt) -> str:
         return f"recorded {self.recordings.write(excerpt)}"
 
-    def _save(self, path: Path, saved: checkpoints.Saved) -> str:
-        checkpoints.save(path, saved)
-        taken_ns = saved.checkpoint["sample"] * saved.parameters.solver.sample_interval_ns
+    def _save(self, path: Path, state: Checkpoint) -> str:
+        checkpoint.save(path, state)
+        taken_ns = state.sample * state.parameters.solver.sample_interval_ns
         return f"saved {path}, taken at {taken_ns * 1e-9:.9g} s"
 
     def _checkpoint_path(self) -> Path:
@@ -239,12 +237,6 @@ class Session:
         """Publish and record what the model is, after whatever changed it."""
         text = describe_model(self.parameters, self.epoch_ns, self._node)
         self._run.write_records([self._encoder.model_info(self.now_ns, text)])
-
-    def _clock(self, chunk: Chunk) -> list[Record]:
-        if not self._clock_ns or not len(chunk) or chunk.last_ns < self._next_clock_ns:
-            return []
-        self._next_clock_ns = chunk.last_ns + self._clock_ns
-        return [self._encoder.clock(self.epoch_ns + chunk.last_ns)]
 
     def _run_ended(self) -> None:
         if not self.state.completed:

@@ -13,9 +13,8 @@ from typing import Final
 
 from gear_dynamics_ros.topics import OF_A_CHUNK, TOPICS
 
-# Keys in TOPICS of what is no work of a chunk. The clock tells only the time, which is told anyway, and late:
-# that of a chunk behind which a state may be stored already.
-TOLD: Final[Collection[str]] = frozenset(TOPICS) - {*OF_A_CHUNK, "clock"}
+# Keys in TOPICS of what is no work of a chunk.
+TOLD: Final[Collection[str]] = frozenset(TOPICS) - frozenset(OF_A_CHUNK)
 
 
 class History:

@@ -13,6 +13,7 @@ from mcap.records import Channel, Schema
 
 from gear_dynamics_ros.messages.cdr import TYPESTORE
 from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.simulation.provenance import Provenance
 from gear_dynamics_ros.topics import TOPICS, Topic, resolve
 
 METADATA_FILE: Final = "metadata.yaml"
@@ -33,7 +34,7 @@ _CHECKPOINT = re.compile(r"checkpoint_(\d+)\.json")
 _DUMPER = yaml.CSafeDumper if yaml.__with_libyaml__ else yaml.SafeDumper
 
 
-class Part(NamedTuple):
+class PartSummary(NamedTuple):
     """One MCAP file of a recording: its messages on each topic (full name), and from when to when."""
 
     name: str
@@ -50,18 +51,16 @@ class Part(NamedTuple):
 class RunMetadata(NamedTuple):
     """What the MCAP metadata record RUN_METADATA holds."""
 
-    version: str
-    kernel_hash: str
+    provenance: Provenance
     epoch_ns: int
     node: str
     sample_interval_ns: int
-    processor: str = ""
-    compiler: str = ""
-    libraries: str = ""
 
     def to_text(self) -> dict[str, str]:
-        """Values as the text that MCAP stores."""
-        return {name: str(value) for name, value in self._asdict().items()}
+        """Values as the text that MCAP stores, those of the provenance first."""
+        own = self._asdict()
+        values = own.pop("provenance")._asdict() | own
+        return {name: str(value) for name, value in values.items()}
 
     def to_lines(self) -> bytes:
         """The same as lines ``name=value``, in this order."""
@@ -73,12 +72,17 @@ class RunMetadata(NamedTuple):
         if int(values["sample_interval_ns"]) <= 0:
             raise ValueError("sample_interval_ns must be positive")
         return cls(
-            version=values["version"],
-            kernel_hash=values["kernel_hash"],
+            provenance=Provenance(
+                version=values["version"],
+                kernel_hash=values["kernel_hash"],
+                **{
+                    name: values.get(name, "")
+                    for name in ("model_hash", "processor", "compiler", "libraries")
+                },
+            ),
             epoch_ns=int(values["epoch_ns"]),
             node=values["node"],
             sample_interval_ns=int(values["sample_interval_ns"]),
-            **{name: values.get(name, "") for name in ("processor", "compiler", "libraries")},
         )
 
 
@@ -146,7 +150,7 @@ class Definitions(NamedTuple):
     channels: dict[int, Channel]
 
 
-def definitions(topics: Iterable[tuple[str, Topic]]) -> Definitions:
+def channel_definitions(topics: Iterable[tuple[str, Topic]]) -> Definitions:
     """Of topics with full names: channels are numbered from 1 in their order."""
     found = Definitions({}, {})
     numbers: dict[str, int] = {}  # of schemas
@@ -170,7 +174,7 @@ def channel_metadata(topic: Topic) -> dict[str, str]:
     return {"offered_qos_profiles": yaml_text(qos(topic)), "topic_type_hash": type_hash(topic.type)}
 
 
-def bag_information(topics: Mapping[str, Topic], parts: Sequence[Part]) -> dict[str, Any]:
+def bag_information(topics: Mapping[str, Topic], parts: Sequence[PartSummary]) -> dict[str, Any]:
     """Body of metadata.yaml for ``topics`` (full name -> topic) and parts."""
     filled = [part for part in parts if part.messages]
     start_ns = min((part.start_ns for part in filled), default=0)
@@ -209,12 +213,12 @@ def bag_information(topics: Mapping[str, Topic], parts: Sequence[Part]) -> dict[
     }
 
 
-def metadata_yaml(topics: Mapping[str, Topic], parts: Sequence[Part]) -> str:
+def metadata_yaml(topics: Mapping[str, Topic], parts: Sequence[PartSummary]) -> str:
     """Text of metadata.yaml."""
     return yaml_text({INFORMATION: bag_information(topics, parts)})
 
 
-def embedded_metadata(topics: Mapping[str, Topic], part: Part) -> dict[str, str]:
+def embedded_metadata(topics: Mapping[str, Topic], part: PartSummary) -> dict[str, str]:
     """The same about one part alone, for the MCAP metadata record ROSBAG2_METADATA."""
     return {ROSBAG2_KEY: yaml_text(bag_information(topics, [part]))}
 

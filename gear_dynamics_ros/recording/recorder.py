@@ -6,7 +6,6 @@ thread back, a full or missing one sets ``error``.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import threading
@@ -14,25 +13,25 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from gear_dynamics_ros import __version__
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.encoder import Record
-from gear_dynamics_ros.parameters import Parameters, dump
+from gear_dynamics_ros.parameters import dump_parameters
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.digest import TOLD, History
-from gear_dynamics_ros.recording.layout import Part, RunMetadata
+from gear_dynamics_ros.recording.layout import PartSummary, RunMetadata
 from gear_dynamics_ros.recording.mcap.writer import McapWriter
-from gear_dynamics_ros.simulation import checkpoints
-from gear_dynamics_ros.simulation.provenance import present
+from gear_dynamics_ros.simulation.checkpoint import Checkpoint, StoredCheckpoint
+from gear_dynamics_ros.simulation.provenance import current_provenance
 from gear_dynamics_ros.system.files import replace_text, sync_folder
 from gear_dynamics_ros.system.threads import name_thread
 from gear_dynamics_ros.topics import TOPICS, Topic
 
 # Three seconds of every channel at 100 kHz: longer than a disk usually pauses.
 QUEUE_BYTES: Final = 64 << 20
-# What a state takes up in the queue.
+# What a checkpoint takes up in the queue.
 STATE_BYTES: Final = 1 << 14
 # Half of the second that a crash may cost; the rest is for the queue and the disk.
 FLUSH_SECONDS: Final = 0.5
@@ -54,20 +53,13 @@ class Stats(NamedTuple):
     seconds_left: float  # of wall time, until recording.minimum_free is reached at the pace of late
 
 
-class State(NamedTuple):
-    """A state of the gearbox between two samples, and the parameters in force there."""
-
-    checkpoint: Mapping[str, Any]  # as ``Engine.checkpoint`` makes it
-    parameters: Parameters
-
-
 class _Split(NamedTuple):
-    start: State
+    start: Checkpoint
 
 
-class _Checkpoint(NamedTuple):
+class _Keep(NamedTuple):
     name: str  # of the attachment
-    state: State
+    checkpoint: Checkpoint
 
 
 class _StoppedError(Exception):
@@ -75,9 +67,9 @@ class _StoppedError(Exception):
 
 
 class Recorder:
-    """Records one run into the folder ``path``, made here; ``start`` is the checkpoint it starts from.
+    """Records one run into the folder ``path``, made here, from the checkpoint ``start`` on.
 
-    ``parameters`` are those in force there. ``report`` is called once, on the recorder's thread, with the
+    ``report`` is called once, on the recorder's thread, with the
     error that stops it.
 
     Raises UsageError if ``path`` exists or can't be made, GearboxError if the first file can't be opened or
@@ -87,33 +79,31 @@ class Recorder:
     def __init__(
         self,
         path: Path,
-        parameters: Parameters,
-        start: Mapping[str, Any],
+        start: Checkpoint,
         epoch_ns: int,
         node: str = "/gearbox",
         report: Callable[[str], None] = lambda error: None,
     ) -> None:
         self._report = report
         self.path = Path(os.path.abspath(path))
-        origin = present()
         self._run = RunMetadata(
+            provenance=current_provenance(),
             epoch_ns=epoch_ns,
             node=node,
-            sample_interval_ns=parameters.solver.sample_interval_ns,
-            **origin._asdict(),
+            sample_interval_ns=start.parameters.solver.sample_interval_ns,
         )
-        self._topics = layout.recorded_topics(parameters, node)
+        self._topics = layout.recorded_topics(start.parameters, node)
         self._sequences: Counter[str] = Counter()
         self._latched: dict[str, bytes] = {}
         self._error: str | None = None
-        self._parts: list[Part] = []
+        self._parts: list[PartSummary] = []
         self._written = 0
         self._flushed = 0
         self._in_hand = 0  # messages of those handed over last that the file has taken
         self._repeated = 0  # messages at the start of the part that stood in one before it
         self._lost = 0
         self._earlier_bytes = 0
-        self._queue: deque[Sequence[Record] | _Split | _Checkpoint] = deque()
+        self._queue: deque[Sequence[Record] | _Split | _Keep] = deque()
         self._queued = 0
         self._queued_bytes = 0
         self._splits = 0  # that wait in the queue
@@ -122,14 +112,12 @@ class Recorder:
         self._changed = threading.Condition()
         _make_folder(self.path)
         try:
-            self._disk = _Disk(self.path, parameters.recording.minimum_free)
+            self._disk = _Disk(self.path, start.parameters.recording.minimum_free)
             self._part = self._new_part()
         except (OSError, _StoppedError) as error:
             self.path.rmdir()
             raise GearboxError(f"recording.path: can't write in '{self.path}': {_reason(error)}") from error
-        self._thread = threading.Thread(
-            target=self._work, args=(State(start, parameters),), name="recorder", daemon=True
-        )
+        self._thread = threading.Thread(target=self._work, args=(start,), name="recorder", daemon=True)
         self._thread.start()
 
     @property
@@ -164,21 +152,17 @@ class Recorder:
         wanted = [record for record in records if record.topic in self._topics]
         self._put(wanted, len(wanted), sum(len(record.data) for record in wanted))
 
-    def split(self, start: Mapping[str, Any], parameters: Parameters) -> None:
-        """Go on in a new file, complete in itself, from the checkpoint ``start`` on.
+    def split(self, start: Checkpoint) -> None:
+        """Go on in a new file, complete in itself, from the checkpoint ``start`` on."""
+        self._put(_Split(start), 0, STATE_BYTES)
 
-        ``parameters`` are those in force there.
-        """
-        self._put(_Split(State(start, parameters)), 0, STATE_BYTES)
+    def checkpoint(self, checkpoint: Checkpoint) -> None:
+        """Keep the checkpoint right after the last chunk handed over, so that a replay may begin there."""
+        self._put(_Keep(layout.checkpoint_name(checkpoint.sample), checkpoint), 0, STATE_BYTES)
 
-    def checkpoint(self, checkpoint: Mapping[str, Any], parameters: Parameters) -> None:
-        """Keep the state right after the last chunk handed over, so that a replay may begin there."""
-        name = layout.checkpoint_name(int(checkpoint["sample"]))
-        self._put(_Checkpoint(name, State(checkpoint, parameters)), 0, STATE_BYTES)
-
-    def conclude(self, checkpoint: Mapping[str, Any], parameters: Parameters) -> None:
-        """Keep the state in which the recording ends; nothing but ``close`` follows."""
-        self._put(_Checkpoint(layout.END_ATTACHMENT, State(checkpoint, parameters)), 0, STATE_BYTES)
+    def conclude(self, checkpoint: Checkpoint) -> None:
+        """Keep the checkpoint in which the recording ends; nothing but ``close`` follows."""
+        self._put(_Keep(layout.END_ATTACHMENT, checkpoint), 0, STATE_BYTES)
 
     def close(self) -> None:
         """Write what is queued, finish the file and metadata.yaml. A second call does nothing."""
@@ -189,7 +173,7 @@ class Recorder:
         if not self._finished:
             self._salvage()
 
-    def _put(self, item: Sequence[Record] | _Split | _Checkpoint, messages: int, size: int) -> None:
+    def _put(self, item: Sequence[Record] | _Split | _Keep, messages: int, size: int) -> None:
         with self._changed:
             self._changed.wait_for(lambda: self._queued_bytes < QUEUE_BYTES or self._stopped)
             if self._stopped:
@@ -205,7 +189,7 @@ class Recorder:
     def _stopped(self) -> bool:
         return self._closing or self._error is not None
 
-    def _work(self, start: State) -> None:
+    def _work(self, start: Checkpoint) -> None:
         name_thread()
         try:
             self._begin(start)
@@ -218,7 +202,7 @@ class Recorder:
             self._fail(error)
             self._salvage()
 
-    def _begin(self, start: State) -> None:
+    def _begin(self, start: Checkpoint) -> None:
         try:
             self._part.begin(self._run, start)
         except OSError:
@@ -235,8 +219,8 @@ class Recorder:
             if isinstance(item, _Split):
                 self._next_part(item.start)
                 self._release(STATE_BYTES)
-            elif isinstance(item, _Checkpoint):
-                self._add_state(item.name, item.state)
+            elif isinstance(item, _Keep):
+                self._keep(item)
                 self._release(STATE_BYTES)
             elif item:
                 for record in item:
@@ -250,7 +234,7 @@ class Recorder:
                 self._flush()
                 flush_at = time.monotonic() + FLUSH_SECONDS
 
-    def _next(self, until: float) -> Sequence[Record] | _Split | _Checkpoint | None:
+    def _next(self, until: float) -> Sequence[Record] | _Split | _Keep | None:
         """What was handed over next; None at the time ``until`` or when closing."""
         with self._changed:
             self._changed.wait_for(
@@ -278,8 +262,8 @@ class Recorder:
         self._part.write(record, self._sequences[record.topic])
         self._sequences[record.topic] += 1
 
-    def _add_state(self, name: str, state: State) -> None:
-        self._part.add_state(name, state, self._time_ns(state))
+    def _keep(self, kept: _Keep) -> None:
+        self._part.keep(kept, self._time_ns(kept.checkpoint))
 
     def _flush(self) -> None:
         self._part.flush()
@@ -295,8 +279,8 @@ class Recorder:
         self._parts.append(self._part.finish())
         self._flushed = self._written
 
-    def _next_part(self, start: State) -> None:
-        self._add_state(layout.END_ATTACHMENT, start)
+    def _next_part(self, start: Checkpoint) -> None:
+        self._keep(_Keep(layout.END_ATTACHMENT, start))
         self._finish_part()
         part = self._new_part()
         try:
@@ -313,8 +297,8 @@ class Recorder:
         for key, data in self._latched.items():
             self._write_record(Record(key, self._time_ns(start), data))
 
-    def _time_ns(self, state: State) -> int:
-        return self._run.epoch_ns + int(state.checkpoint["sample"]) * self._run.sample_interval_ns
+    def _time_ns(self, checkpoint: Checkpoint) -> int:
+        return self._run.epoch_ns + checkpoint.sample * self._run.sample_interval_ns
 
     def _write_metadata(self) -> None:
         text = layout.metadata_yaml(dict(self._topics.values()), self._parts)
@@ -391,16 +375,17 @@ class _PartWriter:
     @property
     def size(self) -> int:
         """Bytes in the file."""
-        return self._mcap.survey.end
+        return self._mcap.index.end
 
-    def begin(self, run: RunMetadata, start: State) -> None:
+    def begin(self, run: RunMetadata, start: Checkpoint) -> None:
         """Attachments and channels: whatever a reader needs before the first message."""
         self._mcap.add_metadata(layout.RUN_METADATA, run.to_text())
-        parameters, state = dump(start.parameters), json.dumps(start.checkpoint)
+        parameters = dump_parameters(start.parameters)
+        state = StoredCheckpoint(start, current_provenance()).to_text()
         self._attach(run.epoch_ns, layout.PARAMETERS_ATTACHMENT, "yaml", parameters)
         self._attach(run.epoch_ns, layout.START_ATTACHMENT, "json", state)
         self._history = History(run.to_lines(), parameters.encode(), state.encode())
-        self._mcap.add_definitions(*layout.definitions(self._topics.values()))
+        self._mcap.add_definitions(*layout.channel_definitions(self._topics.values()))
         self._mcap.sync()
 
     def write(self, record: Record, sequence: int) -> None:
@@ -409,12 +394,11 @@ class _PartWriter:
         if record.topic in TOLD:
             self._history.add(self._topics[record.topic][0], record.time_ns, record.data)
 
-    def add_state(self, name: str, state: State, time_ns: int) -> None:
-        """Attach a state, behind all messages before it, with the digest of what led to it."""
+    def keep(self, kept: _Keep, time_ns: int) -> None:
+        """Attach a checkpoint, behind all messages before it, with the digest of what led to it."""
         self._mcap.end_chunk()
-        saved = checkpoints.of_this_version(state.parameters, dict(state.checkpoint), self._history.text())
-        text = checkpoints.to_text(saved)
-        self._attach(time_ns, name, "json", text)
+        text = StoredCheckpoint(kept.checkpoint, current_provenance(), self._history.text()).to_text()
+        self._attach(time_ns, kept.name, "json", text)
         self._history = History(text.encode())
 
     def flush(self) -> None:
@@ -430,7 +414,7 @@ class _PartWriter:
                 "start a new recording"
             )
 
-    def finish(self) -> Part:
+    def finish(self) -> PartSummary:
         """Complete the file."""
         self._mcap.end_chunk()
         part = self._part()
@@ -441,7 +425,7 @@ class _PartWriter:
         self.finished = True
         return part
 
-    def salvage(self) -> tuple[Part, int]:
+    def salvage(self) -> tuple[PartSummary, int]:
         """Complete the file with what was written whole, after a write failed; how many messages were not."""
         abandoned = self._mcap.abandon_chunk()
         self._mcap.finish()
@@ -457,9 +441,9 @@ class _PartWriter:
     def _attach(self, time_ns: int, name: str, kind: str, text: str) -> None:
         self._mcap.add_attachment(time_ns, name, f"application/{kind}", text.encode())
 
-    def _part(self) -> Part:
-        found = self._mcap.survey
-        return Part(self._path.name, found.start_ns, found.end_ns, found.topic_counts())
+    def _part(self) -> PartSummary:
+        index = self._mcap.index
+        return PartSummary(self._path.name, index.start_ns, index.end_ns, index.topic_counts())
 
 
 def _reason(error: Exception) -> str:

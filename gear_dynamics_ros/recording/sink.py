@@ -29,11 +29,11 @@ class RecorderSink:
     def split(self) -> None:
         """Go on in a new file."""
         self._part_began = self._marked = self._engine.sample
-        self.recorder.split(self._engine.checkpoint(), self._engine.parameters)
+        self.recorder.split(self._engine.checkpoint())
 
     def conclude(self) -> None:
         """Let the recording end with the state of this moment."""
-        self.recorder.conclude(self._engine.checkpoint(), self._engine.parameters)
+        self.recorder.conclude(self._engine.checkpoint())
 
     def close(self) -> None:
         self.conclude()
@@ -47,7 +47,7 @@ class RecorderSink:
             self.split()
         elif 0.0 < wanted.checkpoint_interval <= self._seconds(self._marked):
             self._marked = self._engine.sample
-            self.recorder.checkpoint(self._engine.checkpoint(), self._engine.parameters)
+            self.recorder.checkpoint(self._engine.checkpoint())
 
     def _seconds(self, since: int) -> float:
         """Simulated time since a sample."""

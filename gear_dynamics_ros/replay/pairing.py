@@ -10,9 +10,9 @@ from typing import Final, NamedTuple
 
 from gear_dynamics_ros.chunk import Commands, Samples
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.events import CHANGE, RESET, RESTORE
+from gear_dynamics_ros.events import CHANGE, RESET, RESTORE, OperatorEvent
 from gear_dynamics_ros.parameters import differences
-from gear_dynamics_ros.recording.reader import Event, Recording
+from gear_dynamics_ros.recording.reader import Recording
 
 BY_TIME: Final = "time"
 BY_START: Final = "start"
@@ -93,12 +93,12 @@ class Pair(NamedTuple):
         ]
         return [entry for entry in found if entry.a != entry.b]
 
-    def events(self) -> tuple[list[Event], list[Event]]:
+    def events(self) -> tuple[list[OperatorEvent], list[OperatorEvent]]:
         """Resets, restores and changes of parameters among the samples compared that A or B alone has."""
         ours, theirs = self._acted(self.a, 0), self._acted(self.b, self.shift)
         return _without(ours, theirs), _without(theirs, ours)
 
-    def _acted(self, recording: Recording, shift: int) -> list[Event]:
+    def _acted(self, recording: Recording, shift: int) -> list[OperatorEvent]:
         shifted = (
             event._replace(sample=event.sample - shift, time=(event.sample - shift) * self.interval)
             for event in recording.events
@@ -123,8 +123,8 @@ def pair(a: Recording, b: Recording, align: str, start: float | None, end: float
     theirs = b.first_sample - shift, b.end_sample - shift
     (low, high), (other_low, other_high) = (
         (
-            first if start is None else max(first, a.at(start)),
-            beyond if end is None else min(beyond, a.at(end)),
+            first if start is None else max(first, a.sample_at(start)),
+            beyond if end is None else min(beyond, a.sample_at(end)),
         )
         for first, beyond in (ours, theirs)
     )
@@ -172,7 +172,7 @@ def _in_force(commands: Sequence[tuple[int, Commands]], sample: int) -> Commands
     return commands[after - 1][1] if after else None
 
 
-def _without(events: Sequence[Event], others: Sequence[Event]) -> list[Event]:
+def _without(events: Sequence[OperatorEvent], others: Sequence[OperatorEvent]) -> list[OperatorEvent]:
     there = Counter(map(_deed, others))
     left = []
     for event in events:
@@ -183,6 +183,6 @@ def _without(events: Sequence[Event], others: Sequence[Event]) -> list[Event]:
     return left
 
 
-def _deed(event: Event) -> str:
+def _deed(event: OperatorEvent) -> str:
     """What an event did and when, to compare by."""
     return json.dumps([event.sample, event.kind, dict(event.parameters), dict(event.checkpoint)])

@@ -9,52 +9,30 @@ from __future__ import annotations
 import os
 import time
 from bisect import bisect_left
-from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
 from threading import Event as Flag
 from threading import Lock
-from typing import Final, NamedTuple, TypeAlias, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
-from gear_dynamics_ros.chunk import Commands
+import yaml
+
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.events import CHANGE, RESET, RESTORE
-from gear_dynamics_ros.messages.decoder import changes_meant
-from gear_dynamics_ros.messages.encoder import Encoder
-from gear_dynamics_ros.parameters import change_values, parse
-from gear_dynamics_ros.realtime.mailbox import RELEASED
 from gear_dynamics_ros.recording import layout
-from gear_dynamics_ros.recording.parts import Stored
-from gear_dynamics_ros.recording.reader import Event, RecordedChunk, Recording
-from gear_dynamics_ros.replay.fidelity import (
-    Difference,
-    State,
-    compare_event,
-    compare_message,
-    compare_state,
-)
-from gear_dynamics_ros.simulation import checkpoints, provenance
-from gear_dynamics_ros.simulation.engine import Engine
-from gear_dynamics_ros.simulation.provenance import Origin
+from gear_dynamics_ros.recording.parts import StoredMessage
+from gear_dynamics_ros.recording.reader import Recording
+from gear_dynamics_ros.replay.mismatch import Mismatch
+from gear_dynamics_ros.replay.part_reader import Action, PartReader
+from gear_dynamics_ros.replay.resimulation import Resimulation
+from gear_dynamics_ros.simulation.checkpoint import StoredCheckpoint
+from gear_dynamics_ros.simulation.provenance import provenance_differences
 from gear_dynamics_ros.topics import OF_A_CHUNK
 
 T = TypeVar("T")
 # Stretches for each processor: when one is done early, there is another.
 SHARES: Final = 4
 _START: Final = (layout.PARAMETERS_ATTACHMENT, layout.START_ATTACHMENT)
-# The waveform tells more than what is taken from it.
-TELLING: Final = ("waveform", *(topic for topic in OF_A_CHUNK if topic != "waveform"))
-
-
-class Asked(NamedTuple):
-    """What a message on a command topic asked for."""
-
-    topic: str  # key in TOPICS
-    changes: Mapping[str, float]  # by field of Commands
-
-
-Action: TypeAlias = tuple[int, Event | Commands | Asked]
 
 
 class Verification(NamedTuple):
@@ -65,33 +43,44 @@ class Verification(NamedTuple):
     states: int  # compared
     simulated: float  # s
     elapsed: float  # s of wall time, compilation included
-    difference: Difference | None
+    difference: Mismatch | None
 
 
 class _Place(NamedTuple):
-    """Where a state is stored."""
+    """Where a checkpoint is stored."""
 
     part: int
     names: tuple[str, ...]  # of the attachments
 
 
 class _Leg(NamedTuple):
-    """The way from one stored state to the next."""
+    """The way from one stored checkpoint to the next."""
 
     first: int  # sample
     start: _Place
+    reader: PartReader
     actions: Sequence[Action]
-    told: Sequence[Stored]  # what no chunk made
+    told: Sequence[StoredMessage]  # what no chunk made
     end: int | None  # sample before which the next leg begins in the same part
     goals: tuple[_Place, ...]  # none where the recording broke off
 
 
-class _Tally(NamedTuple):
+class _Findings(NamedTuple):
     samples: int = 0
     messages: int = 0
     states: int = 0
-    difference: Difference | None = None
-    untold: Difference | None = None  # the first digest that does not fit what the recording tells
+    difference: Mismatch | None = None
+    untold: Mismatch | None = None  # the first digest that does not fit what the recording tells
+
+    def plus(self, more: _Findings) -> _Findings:
+        """Those of both, the later ones being ``more``."""
+        return _Findings(
+            self.samples + more.samples,
+            self.messages + more.messages,
+            self.states + more.states,
+            more.difference,
+            self.untold or more.untold,
+        )
 
 
 def verify_recording(
@@ -111,26 +100,10 @@ def verify_recording(
     began = time.perf_counter()
     _require_whole(recording)
     legs = _legs(recording, start)
-    stop = Flag()
-    count = _Counter(progress)
-    found = _Tally()
-    processors = len(os.sched_getaffinity(0))
-    # The kernel works without Python's lock: threads share the processors and all that is loaded.
-    with ThreadPoolExecutor(processors, thread_name_prefix="verify") as workers:
-        futures = [
-            workers.submit(_run, recording, stretch, stop, count)
-            for stretch in _stretches(legs, processors * SHARES)
-        ]
-        try:
-            for future in futures:
-                found = _sum(found, future.result())
-                if found.difference is not None:
-                    break
-        finally:
-            stop.set()
+    found = _run_side_by_side(recording, legs, _SampleCount(progress))
     # Where the model parts from the recording tells most.
     difference = (
-        found.difference or _lack(recording, legs) or _surplus(recording, legs, found) or found.untold
+        found.difference or _missing(recording, legs) or _surplus(recording, legs, found) or found.untold
     )
     simulated = found.samples * recording.sample_interval_ns / 1e9
     elapsed = time.perf_counter() - began
@@ -139,11 +112,10 @@ def verify_recording(
 
 def origins(recording: Recording) -> list[str]:
     """What of the program and the machine differs between the recording and this process, a line each."""
-    run = recording.run._asdict()
-    return provenance.differences(Origin(**{name: run[name] for name in Origin._fields}))
+    return provenance_differences(recording.run.provenance)
 
 
-class _Counter:
+class _SampleCount:
     """Adds up what several threads have compared."""
 
     def __init__(self, tell: Callable[[int], None] | None) -> None:
@@ -161,11 +133,11 @@ class _Counter:
 
 def _require_whole(recording: Recording) -> None:
     """Raise GearboxError where a file is lost, or nothing can be compared."""
-    for name in recording.lost_files:
+    for name in _lost_files(recording):
         gone = not (recording.path / name).exists()
         what = "is missing: put it back" if gone else "has lost its start: replay recover keeps what is whole"
         raise GearboxError(f"{recording.path}: metadata.yaml lists {name}, which {what}")
-    if not any(part.found.chunks or part.end for part in recording.parts):
+    if not any(part.index.chunks or part.end for part in recording.parts):
         raise GearboxError(
             f"{recording.path} broke off before its first message: there is nothing to compare"
         )
@@ -175,31 +147,48 @@ def _require_whole(recording: Recording) -> None:
         )
 
 
-def _lack(recording: Recording, legs: Sequence[_Leg]) -> Difference | None:
-    """A channel or a repeated message that should be there."""
+def _lost_files(recording: Recording) -> list[str]:
+    """Names of the files that metadata.yaml lists and that are no part: missing, or without a start."""
+    path = recording.path / layout.METADATA_FILE
+    if not path.is_file():
+        return []
+    try:
+        listed = yaml.safe_load(path.read_text(encoding="utf-8"))[layout.INFORMATION][layout.FILES]
+        return sorted({str(name) for name in listed} - {part.path.name for part in recording.parts})
+    except (KeyError, OSError, TypeError, ValueError, RecursionError, yaml.YAMLError) as error:
+        raise GearboxError(f"{path} is spoilt: {' '.join(repr(error).split()):.200}") from error
+
+
+def _missing(recording: Recording, legs: Sequence[_Leg]) -> Mismatch | None:
+    """Parameters that are not those of the start; a channel or a repeated message that should be there."""
     first = legs[0].start.part
     for number, part in enumerate(recording.parts[first:], first):
-        if not part.found.chunks:  # it broke off before its first message
+        reader = PartReader(recording, number)
+        for name in reader.unlike_parameters():
+            what = f"{layout.PARAMETERS_ATTACHMENT}: {name}"
+            return Mismatch(part.first_sample, what, "one value", f"another in {layout.START_ATTACHMENT}")
+        if not part.index.chunks:  # it broke off before its first message
             continue
-        for topic in recording.lacking(number):
-            return Difference(part.first_sample, topic, "no channel", "one in recording.topics")
-        topic = recording.unrepeated(number) if number > first else ""
+        for topic in reader.lacking():
+            return Mismatch(part.first_sample, topic, "no channel", "one in recording.topics")
+        topic = reader.unrepeated() if number > first else ""
         if topic:
-            return Difference(part.first_sample, topic, "another first message", "the last one before")
+            return Mismatch(part.first_sample, topic, "another first message", "the last one before")
     return None
 
 
-def _surplus(recording: Recording, legs: Sequence[_Leg], found: _Tally) -> Difference | None:
+def _surplus(recording: Recording, legs: Sequence[_Leg], found: _Findings) -> Mismatch | None:
     """Messages of chunks that stand where no chunk has them; the end of what broke off may hold some."""
     whole = all(part.end for part in recording.parts) and legs[0].start == _Place(0, _START)
-    count = recording.count(OF_A_CHUNK)
+    names = {recording.names[key] for key in OF_A_CHUNK}
+    count = sum(topic.messages for topic in recording.topics if topic.name in names)
     if whole and count != found.messages:
-        return Difference(recording.end_sample, "messages of chunks", count, found.messages)
+        return Mismatch(recording.end_sample, "messages of chunks", count, found.messages)
     return None
 
 
 def _legs(recording: Recording, start: float | None) -> list[_Leg]:
-    """The whole recording, leg by leg, or from the last state stored before ``start`` s on."""
+    """The whole recording, leg by leg, or from the last checkpoint stored before ``start`` s on."""
     parts = recording.parts
     number, sample = (0, parts[0].first_sample) if start is None else _last_before(recording, start)
     legs = [leg for later in range(number, len(parts)) for leg in _legs_of(recording, later)]
@@ -207,7 +196,7 @@ def _legs(recording: Recording, start: float | None) -> list[_Leg]:
 
 
 def _last_before(recording: Recording, start: float) -> tuple[int, int]:
-    """Part and sample of the last state stored before ``start`` s."""
+    """Part and sample of the last checkpoint stored before ``start`` s."""
     interval = recording.sample_interval_ns / 1e9
     begin, end = recording.parts[0].first_sample * interval, recording.end_sample * interval
     if not begin <= start <= end:
@@ -223,71 +212,60 @@ def _last_before(recording: Recording, start: float) -> tuple[int, int]:
 def _legs_of(recording: Recording, number: int) -> Iterator[_Leg]:
     """One part, leg by leg."""
     part = recording.parts[number]
-    told = recording.told(number)
-    _require_order(recording, number, told)
-    actions = _actions(recording, number, told)
-    states = {part.first_sample: _Place(number, _START)}
+    reader = PartReader(recording, number)
+    reader.require_order()
+    actions = reader.actions()
+    places = {part.first_sample: _Place(number, _START)}
     for sample, name in part.checkpoints.items():
-        states[sample] = _Place(number, (name,))
-    for first, end in zip(states, [*list(states)[1:], None], strict=True):
-        goals = _goals(recording, number) if end is None else (states[end],)
+        places[sample] = _Place(number, (name,))
+    for first, end in zip(places, [*list(places)[1:], None], strict=True):
+        goals = _goals(recording, number) if end is None else (places[end],)
         acted = _cut(actions, first, end, key=lambda action: action[0])
         # At the start of a part nothing precedes the state: all from its first message on follows.
-        from_ns = None if states[first].names == _START else recording.time_ns(first)
-        end_ns = None if end is None else recording.time_ns(end)
-        on_the_way = _cut(told, from_ns, end_ns, key=lambda message: message.time_ns)
-        yield _Leg(first, states[first], acted, on_the_way, end, goals)
+        from_ns = None if places[first].names == _START else recording.stamp_of(first)
+        end_ns = None if end is None else recording.stamp_of(end)
+        on_the_way = _cut(reader.told, from_ns, end_ns, key=lambda message: message.time_ns)
+        yield _Leg(first, places[first], reader, acted, on_the_way, end, goals)
 
 
-def _cut(found: list[T], first: int | None, end: int | None, key: Callable[[T], int]) -> list[T]:
+def _cut(found: Sequence[T], first: int | None, end: int | None, key: Callable[[T], int]) -> Sequence[T]:
     """Of what is in order by ``key``, that in [first, end)."""
     low = 0 if first is None else bisect_left(found, first, key=key)
     high = len(found) if end is None else bisect_left(found, end, key=key)
     return found[low:high]
 
 
-def _require_order(recording: Recording, number: int, told: Sequence[Stored]) -> None:
-    """Raise GearboxError where a part is of another run, tells a state twice or goes back in time."""
-    part = recording.parts[number]
-    if part.run != recording.run:
-        raise GearboxError(f"{part.path} is of another run than {recording.parts[0].path.name}")
-    names = Counter(index.name for index in part.found.attachments)
-    names[layout.checkpoint_name(part.first_sample)] += 1
-    for name, count in names.items():
-        if count > 1:
-            raise GearboxError(f"{part.path} holds {name} twice, or beside the start: one of them is wrong")
-    for earlier, later in pairwise(told):
-        if later.time_ns < earlier.time_ns:
-            raise GearboxError(f"{part.path} goes back in time with a message on {later.topic}")
-
-
-def _actions(recording: Recording, number: int, told: Sequence[Stored]) -> list[Action]:
-    """What acted in a part and, behind it, what was asked for at the same sample."""
-    prefix = recording.parameters.joint_prefix
-    asked = [
-        (sample, Asked(topic, changes_meant(topic, message, prefix)[0]))
-        for sample, topic, message in recording.received(told)
-    ]
-    return sorted([*recording.actions(number, told), *asked], key=lambda action: action[0])
-
-
 def _goals(recording: Recording, number: int) -> tuple[_Place, ...]:
-    """The states at the end of a part: its own, if it was concluded, and that of the next one's start."""
+    """The checkpoints at the end of a part: its own, if it was concluded, and the start of the next one."""
     end = recording.parts[number].end
     own = (_Place(number, (end,)),) if end else ()
     return own if number + 1 == len(recording.parts) else (*own, _Place(number + 1, _START))
 
 
-def _load(recording: Recording, place: _Place) -> State:
+def _load(recording: Recording, place: _Place) -> StoredCheckpoint:
     part = recording.parts[place.part]
-    if place.names == _START:
-        return State(part.start, parse(part.parameters))
-    (name,) = place.names
-    try:
-        saved = checkpoints.from_text(part.attachment(name).decode(), f"{part.path.name}: {name}")
-    except (UnicodeDecodeError, UsageError) as error:
-        raise GearboxError(str(error)) from error
-    return State(saved.checkpoint, saved.parameters, saved.history)
+    return part.start if place.names == _START else part.stored(*place.names)
+
+
+def _run_side_by_side(recording: Recording, legs: Sequence[_Leg], count: _SampleCount) -> _Findings:
+    """Run all legs, several stretches at a time, up to the first difference."""
+    stop = Flag()
+    found = _Findings()
+    processors = len(os.sched_getaffinity(0))
+    # The kernel works without Python's lock: threads share the processors and all that is loaded.
+    with ThreadPoolExecutor(processors, thread_name_prefix="verify") as workers:
+        futures = [
+            workers.submit(_run, recording, stretch, stop, count)
+            for stretch in _stretches(legs, processors * SHARES)
+        ]
+        try:
+            for future in futures:
+                found = found.plus(future.result())
+                if found.difference is not None:
+                    break
+        finally:
+            stop.set()
+    return found
 
 
 def _stretches(legs: Sequence[_Leg], most: int) -> list[list[_Leg]]:
@@ -299,143 +277,56 @@ def _stretches(legs: Sequence[_Leg], most: int) -> list[list[_Leg]]:
     return [stretch for stretch in stretches if stretch]
 
 
-def _run(recording: Recording, legs: Sequence[_Leg], stop: Flag, count: _Counter) -> _Tally:
-    """Run a stretch from the state at its start."""
-    start = _load(recording, legs[0].start)
-    engine = Engine(start.parameters)
-    engine.restore(start.checkpoint)
-    engine.command(engine.commands)  # which are part of the state too, and must be the same there
-    found = _Tally(difference=compare_state(engine, start))
-    if found.difference is not None:
-        return found
-    encoder = Encoder(start.parameters, recording.epoch_ns)
+def _run(recording: Recording, legs: Sequence[_Leg], stop: Flag, count: _SampleCount) -> _Findings:
+    """Run a stretch from the checkpoint at its start."""
+    start = _load(recording, legs[0].start).checkpoint
+    again = Resimulation(start, recording.epoch_ns, recording.recorded)
+    found = _Findings(difference=again.compare_state(start))
     for leg in legs:
-        found = _sum(found, _run_leg(engine, encoder, recording, leg, stop, count))
         if found.difference is not None or stop.is_set():
             break
+        found = found.plus(_run_leg(again, recording, leg, stop, count))
     return found
 
 
 def _run_leg(
-    engine: Engine, encoder: Encoder, recording: Recording, leg: _Leg, stop: Flag, count: _Counter
-) -> _Tally:
+    again: Resimulation, recording: Recording, leg: _Leg, stop: Flag, count: _SampleCount
+) -> _Findings:
     actions = deque(leg.actions)
-    kept = recording.recorded
     samples = messages = 0
-    for recorded in recording.recorded_chunks(leg.start.part, leg.first, leg.end):
+    for recorded in leg.reader.chunks(leg.first, leg.end):
         if stop.is_set():
-            return _Tally(samples, messages)
-        difference = _act(engine, actions, recorded.first) or _compare_chunk(engine, encoder, kept, recorded)
+            return _Findings(samples, messages)
+        difference = again.act_before(actions, recorded.first) or again.compare_chunk(recorded)
         if difference is not None:
-            return _Tally(samples, messages, difference=difference)
+            return _Findings(samples, messages, difference=difference)
         samples += recorded.samples
         messages += len(recorded.messages)
         count.add(recorded.samples)
-    if leg.end is None:
-        difference = _act(engine, actions, None)
-    elif actions:
-        difference = _misplaced(engine, *actions[0])
-    else:
-        difference = None
+    difference = _finish(again, actions, leg)
     if difference is not None:
-        return _Tally(samples, messages, difference=difference)
-    return _sum(_Tally(samples, messages), _arrive(engine, recording, leg))
+        return _Findings(samples, messages, difference=difference)
+    return _Findings(samples, messages).plus(_arrive(again, recording, leg))
 
 
-def _arrive(engine: Engine, recording: Recording, leg: _Leg) -> _Tally:
+def _finish(again: Resimulation, actions: deque[Action], leg: _Leg) -> Mismatch | None:
+    """Let act what follows the last chunk of a part; within a part that belongs to the next leg."""
+    if leg.end is None:
+        return again.act(actions)
+    return again.misplaced(*actions[0]) if actions else None
+
+
+def _arrive(again: Resimulation, recording: Recording, leg: _Leg) -> _Findings:
     """Compare where the engine has come, and what was told on the way, with what was stored there."""
     part, opening = leg.start
     untold = None
     for goal in leg.goals:
         stored = _load(recording, goal)
-        difference = compare_state(engine, stored)
+        difference = again.compare_state(stored.checkpoint)
         if difference is not None:
-            return _Tally(states=1, difference=difference)
-        if goal.part == part:
-            told = recording.history(part, opening, leg.told)
+            return _Findings(states=1, difference=difference)
+        told = leg.reader.digest(opening, leg.told) if goal.part == part else stored.digest
+        if told != stored.digest:
             what = f"the state at sample {leg.first}, or messages since then that no chunk makes: SHA-256"
-            untold = Difference(engine.sample, what, stored.history, told) if told != stored.history else None
-    return _Tally(states=len(leg.goals), untold=untold)
-
-
-def _act(engine: Engine, actions: deque[Action], sample: int | None) -> Difference | None:
-    """Let act what came before ``sample`` was made; all that is left if it is None.
-
-    Each must act at the very sample that has come. The last that was asked of each command must then be in
-    force.
-    """
-    if sample is not None and engine.sample != sample:
-        return Difference(engine.sample, "waveform", f"nothing before sample {sample}", "samples")
-    asked: dict[str, tuple[str, float]] = {}
-    while actions and (sample is None or actions[0][0] <= sample):
-        at, action = actions.popleft()
-        if at != engine.sample:
-            return _misplaced(engine, at, action)
-        if isinstance(action, Commands):
-            engine.command(action)
-        elif isinstance(action, Asked):
-            asked |= {name: (action.topic, value) for name, value in action.changes.items()}
-        else:
-            _repeat(engine, action)
-            difference = compare_event(engine, action)
-            if difference is not None:
-                return difference
-    for name, (topic, value) in asked.items():
-        in_force = getattr(engine.commands, name)
-        if value != in_force and not _released(engine, name):
-            return Difference(engine.sample, f"{topic}: {name}", value, in_force)
-    return None
-
-
-def _misplaced(engine: Engine, sample: int, action: Event | Commands | Asked) -> Difference:
-    """Of what should have acted where no chunk begins."""
-    kind = type(action).__name__.lower()
-    what = f"event {action.kind}" if isinstance(action, Event) else kind
-    return Difference(engine.sample, what, f"at sample {sample}", "no edge of a chunk there")
-
-
-def _released(engine: Engine, name: str) -> bool:
-    """Whether a command may be 0 because none came in time."""
-    operation = engine.parameters.operation
-    released = operation.command_timeout > 0.0 and operation.on_timeout == "release"
-    return released and name in RELEASED and getattr(engine.commands, name) == 0.0
-
-
-def _repeat(engine: Engine, event: Event) -> None:
-    if event.kind == RESET:
-        engine.reset()
-    elif event.kind == CHANGE:
-        try:
-            engine.change(change_values(engine.parameters, event.parameters))
-        except UsageError as error:
-            raise GearboxError(
-                f"the change of parameters at sample {event.sample} can't be: {error}"
-            ) from error
-    elif event.kind == RESTORE:
-        engine.resume(event.checkpoint)
-
-
-def _compare_chunk(
-    engine: Engine, encoder: Encoder, kept: frozenset[str], recorded: RecordedChunk
-) -> Difference | None:
-    """Make the chunk, and compare its messages on the topics ``kept``."""
-    try:
-        chunk = engine.advance(recorded.samples)
-    except GearboxError as error:
-        return Difference(recorded.first, "waveform", f"{recorded.samples} samples", f"none: {error}")
-    made = {record.topic: record.data for record in encoder.chunk(chunk) if record.topic in kept}
-    for topic in TELLING:
-        difference = compare_message(recorded, topic, made.get(topic))
-        if difference is not None:
-            return difference
-    return None
-
-
-def _sum(left: _Tally, right: _Tally) -> _Tally:
-    return _Tally(
-        left.samples + right.samples,
-        left.messages + right.messages,
-        left.states + right.states,
-        right.difference,
-        left.untold or right.untold,
-    )
+            untold = Mismatch(again.sample, what, stored.digest, told)
+    return _Findings(states=len(leg.goals), untold=untold)

@@ -1,4 +1,4 @@
-"""Plays a script to a gearbox over ROS 2, to the sample: paused, it is stepped from moment to moment."""
+"""Plays a script to a gearbox over ROS 2, to the sample: paused, and stepped from one to the next."""
 
 from __future__ import annotations
 
@@ -16,10 +16,16 @@ from std_srvs.srv import SetBool, Trigger
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.events import CHANGE, PAUSE
-from gear_dynamics_ros.harness.recorded import Act, Moment, Reset, Script, require_edges
 from gear_dynamics_ros.messages.cdr import stamp_ns
 from gear_dynamics_ros.messages.decoder import applied_commands
 from gear_dynamics_ros.parameters import specifications
+from gear_dynamics_ros.replay.publish import (
+    LockstepScript,
+    ResetAction,
+    ScriptAction,
+    ScriptStep,
+    require_chunk_edges,
+)
 from gear_dynamics_ros.ros.gearbox_client import GearboxClient, not_seen, one_line, ros_context
 from gear_dynamics_ros.ros.node_topics import quality
 from gear_dynamics_ros.system.processes import noted_signals
@@ -45,7 +51,7 @@ class ScriptOutcome(NamedTuple):
 
 
 def play_script(
-    script: Script,
+    script: LockstepScript,
     node: str,
     wait: float,
     timeout: float,
@@ -104,7 +110,7 @@ class _ScriptClient(GearboxClient):
     def __init__(
         self,
         context: Context,
-        script: Script,
+        script: LockstepScript,
         node: str,
         timeout: float,
         watch: Callable[[int], None],
@@ -143,13 +149,13 @@ class _ScriptClient(GearboxClient):
     def play(self) -> None:
         """Play the script to its end, the last chunk begun included."""
         gearbox = self._known
-        require_edges(self._script, gearbox.chunk_ns)
+        require_chunk_edges(self._script, gearbox.chunk_ns)
         self._halt()
-        moments = self._script.moments
+        moments = self._script.steps
         ends = [moment.time_ns for moment in moments[1:]]
         last = -(-self._script.duration_ns // gearbox.chunk_ns) * gearbox.chunk_ns
         for moment, end_ns in zip(moments, [*ends, last], strict=True):
-            for act in moment.acts:
+            for act in moment.actions:
                 self._do(act)
             self._command(moment)
             self._advance(end_ns)
@@ -195,9 +201,9 @@ class _ScriptClient(GearboxClient):
     def _stand(self) -> None:
         request = SetBool.Request(data=True)
         answer = self._answer(self._pause, request, "to pause")
-        if not answer.success and Reset() in self._script.moments[0].acts:
+        if not answer.success and ResetAction() in self._script.steps[0].actions:
             # A run that has ended can't be paused before a reset.
-            self._do(Reset())
+            self._do(ResetAction())
             answer = self._answer(self._pause, request, "to pause")
         if not answer.success:
             raise GearboxError(f"{self._name} did not pause: {one_line(answer.message)}")
@@ -221,13 +227,13 @@ class _ScriptClient(GearboxClient):
             raise GearboxError(f"{self._name} published no event for {self._timeout:g} s: see its log")
         return found[0]
 
-    def _do(self, act: Act) -> None:
-        if isinstance(act, Reset):
+    def _do(self, act: ScriptAction) -> None:
+        if isinstance(act, ResetAction):
             self._succeed(self._reset, Trigger.Request(), "to reset")
         else:
             self._set(act.parameters)
 
-    def _command(self, moment: Moment) -> None:
+    def _command(self, moment: ScriptStep) -> None:
         commands = moment.commands
         self._expected[self._origin_ns + moment.time_ns] = commands
         message = JointState(
@@ -251,7 +257,7 @@ class _ScriptClient(GearboxClient):
             self._time_ns += chunks * chunk_ns
             self._watch(min(self._time_ns, self._script.duration_ns))
 
-    def _check(self, moment: Moment) -> None:
+    def _check(self, moment: ScriptStep) -> None:
         """Raise GearboxError unless the commands of ``moment`` came in force at its sample."""
         wanted = moment.commands
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
@@ -21,6 +21,7 @@ from rclpy.serialization import serialize_message
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.parameters import ParameterChange, Parameters
 from gear_dynamics_ros.physics import step_check
+from gear_dynamics_ros.physics.advice import parameter_warnings
 from gear_dynamics_ros.realtime.engine_thread import warm_up
 from gear_dynamics_ros.realtime.mailbox import Mailbox
 from gear_dynamics_ros.realtime.session import Session
@@ -29,9 +30,8 @@ from gear_dynamics_ros.ros.command_receiver import CommandReceiver
 from gear_dynamics_ros.ros.deferred_answers import AnswerSender
 from gear_dynamics_ros.ros.node_services import create_services
 from gear_dynamics_ros.ros.runtime_parameters import RuntimeParameters
-from gear_dynamics_ros.simulation import checkpoints
+from gear_dynamics_ros.simulation import checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
-from gear_dynamics_ros.simulation.run import advice
 from gear_dynamics_ros.simulation.sinks import ViewerSink
 from gear_dynamics_ros.viewer import Viewer, open_viewer
 
@@ -125,9 +125,9 @@ class GearboxNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def _configure(self) -> None:
-        self._warn(warnings(self.parameters))
+        self._warn(parameter_warnings(self.parameters))
         if self.parameters.checkpoint.path:
-            checkpoints.require_place(Path(self.parameters.checkpoint.path).absolute())
+            checkpoint.require_place(Path(self.parameters.checkpoint.path).absolute())
         warm_up(self.parameters, self._log.info)
         self._engine = Engine(self.parameters)
         self._mailbox = Mailbox(self.parameters, time.monotonic_ns())
@@ -216,8 +216,8 @@ class GearboxNode(LifecycleNode):
         return self.parameters if self._session is None else self._session.parameters
 
     def _apply(self, change: ParameterChange) -> Future[None] | None:
-        known = warnings(change.old)
-        self._warn(line for line in warnings(change.new) if line not in known)
+        known = parameter_warnings(change.old)
+        self._warn(line for line in parameter_warnings(change.new) if line not in known)
         if self._session is not None:
             return self._session.change(change)
         if self._engine is not None:
@@ -255,8 +255,3 @@ class GearboxNode(LifecycleNode):
         )
         message = diagnostics.diagnostic_array(statuses, session.now_ns)
         session.report(pace, bytes(serialize_message(message)))
-
-
-def warnings(parameters: Parameters) -> Sequence[str]:
-    """What the operator should know of these parameters, a line each."""
-    return (*advice(parameters), *step_check.warnings(parameters))

@@ -20,7 +20,7 @@ from gear_dynamics_ros.parameters import (
     differences,
     specifications,
 )
-from gear_dynamics_ros.parameters.rcl_yaml import resolve
+from gear_dynamics_ros.parameters.rcl_yaml import resolve_scalar
 
 # Declared by rclpy for every node, or by whoever overrides a quality of service.
 FOREIGN = ("use_sim_time", "start_type_description_service")
@@ -66,7 +66,7 @@ def _floated(parameter: Parameter) -> Parameter:
     if parameter.type_ == Parameter.Type.INTEGER_ARRAY:
         return Parameter(parameter.name, value=[float(entry) for entry in value])
     if parameter.type_ == Parameter.Type.STRING:
-        value = resolve(value)
+        value = resolve_scalar(value)
     if parameter.type_ in (Parameter.Type.STRING, Parameter.Type.INTEGER) and not isinstance(
         value, bool | str
     ):

@@ -12,11 +12,11 @@ from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args, try_shutdown
 
-from gear_dynamics_ros.cli.common import FAILURE, guarded
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.realtime.engine_thread import warm_up
 from gear_dynamics_ros.ros.discovery import stay_local
 from gear_dynamics_ros.ros.node import GearboxNode
+from gear_dynamics_ros.system.command import FAILURE, run_command
 from gear_dynamics_ros.system.processes import Parent, Signals
 from gear_dynamics_ros.system.threads import wake_punctually
 
@@ -31,7 +31,7 @@ def run_gearbox_node(argv: Sequence[str] | None = None) -> int:
         "--ros-args -p name:=value.",
     )
     signals = Signals()
-    return guarded(lambda _: _serve(argv, signals), parser, _own_arguments(argv))
+    return run_command(lambda _: _serve(argv, signals), parser, _own_arguments(argv))
 
 
 def _own_arguments(argv: Sequence[str] | None) -> list[str] | None:

@@ -77,7 +77,7 @@ def read_command(key: str, data: bytes) -> Any:
     kind = TOPICS[key].type
     try:
         return deserialize(kind, data)
-    except Exception as error:  # rosbags has no common class for what it finds wrong with bytes
+    except GearboxError as error:
         raise GearboxError(f"{TOPICS[key].name}: what came is no {kind}: {error}") from error
 
 

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Mapping
-from functools import cache
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,17 +20,18 @@ from gear_dynamics_ros.chunk import (
     Status,
 )
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.parameters import Operation, ParameterChange, Parameters
-from gear_dynamics_ros.physics import derived, kernel
+from gear_dynamics_ros.parameters import (
+    OperationParameters,
+    ParameterChange,
+    Parameters,
+)
+from gear_dynamics_ros.physics.constants import aligned_zeros, excitation_table, kernel_constants
+from gear_dynamics_ros.physics.kernel import entry
+from gear_dynamics_ros.physics.kernel.records import CALL, POINT, STATE
+from gear_dynamics_ros.physics.kernel.substeps import IMPACTS_PER_STEP
+from gear_dynamics_ros.simulation.checkpoint import Checkpoint, require_running
 
-CHECKPOINT_FORMAT = 2
 IMPACTS_A_CALL = 256
-
-
-@cache
-def kernel_hash() -> str:
-    """SHA-256 of the kernel's source, as hexadecimal text."""
-    return hashlib.sha256(Path(kernel.__file__).read_bytes()).hexdigest()
 
 
 class Engine:
@@ -42,12 +39,12 @@ class Engine:
 
     def __init__(self, parameters: Parameters) -> None:
         self.parameters = parameters
-        self._excitations = derived.excitations(parameters)
-        self._constants = derived.constants(parameters, self._excitations)
+        self._excitations = excitation_table(parameters)
+        self._constants = kernel_constants(parameters, self._excitations)
         self._interval_ns = parameters.solver.sample_interval_ns
         wanted = max(COLUMN[name] for name in parameters.waveform_channels)
         self._columns = len(CHANNELS) if wanted < len(CHANNELS) else len(COLUMN)
-        most_a_sample = kernel.IMPACTS_PER_STEP * parameters.solver.steps_per_sample
+        most_a_sample = IMPACTS_PER_STEP * parameters.solver.steps_per_sample
         self._impacts = np.empty((most_a_sample + IMPACTS_A_CALL, len(IMPACTS)))
         self.sample = 0
         self.reset()
@@ -57,8 +54,8 @@ class Engine:
         operation = self.parameters.operation
         self.commands = Commands(operation.drive_torque, operation.load_torque, operation.speed)
         self.status = Status.RUNNING
-        self._points = derived.aligned_zeros((3,), kernel.POINT)
-        self._state = derived.aligned_zeros((1,), kernel.STATE)
+        self._points, self._call = aligned_zeros((3,), POINT), aligned_zeros((1,), CALL)
+        self._state = aligned_zeros((1,), STATE)
         state = self._state
         if operation.initial == "touching":
             r1, r2 = self._constants["base_radius"][0]
@@ -67,7 +64,7 @@ class Engine:
         state["governor"] = operation.drive_torque
         state["impact_speed"] = self._constants["minimum_impact_speed"]
         self.command(self.commands)
-        kernel.touch(self._constants, state, self._points, *self._excitations)
+        entry.start_touching(self._constants, state, self._points, *self._excitations)
 
     def command(self, commands: Commands) -> None:
         """Put ``commands`` in force from the next sample on."""
@@ -87,14 +84,16 @@ class Engine:
         old, new = change.old, change.new
         if old is not self.parameters:
             raise GearboxError("the parameters were changed meanwhile by something else: set them again")
-        excitations = derived.excitations(new)
-        constants = derived.constants(new, excitations)
-        stored = kernel.look_before(self._constants, self._state, self._points, *self._excitations)
+        excitations = excitation_table(new)
+        constants = kernel_constants(new, excitations)
+        stored = entry.evaluate_before_change(self._constants, self._state, self._points, *self._excitations)
         self.parameters, self._constants, self._excitations = new, constants, excitations
         self._hand_over(old.operation, new.operation)
-        kernel.adapt(constants, self._state, self._points, *excitations, self._impacts, stored)
+        entry.adapt_to_change(
+            constants, self._state, self._points, *excitations, self._call, self._impacts, stored
+        )
 
-    def _hand_over(self, old: Operation, new: Operation) -> None:
+    def _hand_over(self, old: OperationParameters, new: OperationParameters) -> None:
         torque = float(self._state["drive_torque"][0])
         commands = self.commands
         if (old.control, new.control) == ("speed", "torque"):
@@ -123,7 +122,7 @@ class Engine:
         first, written = self.sample, 0
         # A call ends early, at a sample, where its room for impacts might not suffice.
         while True:
-            done, status = kernel.run(
+            done, status = entry.integrate(
                 self._constants,
                 self._state,
                 self._points,
@@ -133,9 +132,10 @@ class Engine:
                 rows[written:],
                 angles[written:],
                 energies,
+                self._call,
                 self._impacts,
             )
-            impacts.append(self._impacts[: self._state["listed"][0]].copy())
+            impacts.append(self._impacts[: self._call["listed"][0]].copy())
             written += done
             if written == count or status != Status.RUNNING:
                 break
@@ -164,35 +164,34 @@ class Engine:
         """Energy that the mesh has lost since the start or the last reset, J, as of the last call."""
         return float(self._state["mesh_loss"][0])
 
-    def checkpoint(self) -> dict[str, Any]:
-        """Everything that decides the future, as JSON keeps it exactly."""
-        return {
-            "format": CHECKPOINT_FORMAT,
-            "sample": self.sample,
-            "status": int(self.status),
-            "commands": self.commands._asdict(),
-            "state": {name: self._state[name][0].tolist() for name in _STATE_NAMES},
-        }
+    def checkpoint(self) -> Checkpoint:
+        """Everything that decides the future, before the next sample."""
+        return Checkpoint(
+            sample=self.sample,
+            status=self.status,
+            commands=self.commands,
+            state={name: self._state[name][0].tolist() for name in _STATE_NAMES},
+            parameters=self.parameters,
+        )
 
-    def restore(self, checkpoint: Mapping[str, Any]) -> None:
-        """Go on from ``checkpoint`` at its sample, with the parameters that were in force there.
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Take the state and the time of ``checkpoint``, whose parameters must be in force here.
 
-        Raises GearboxError, changing nothing, if it can't be one.
+        Raises GearboxError, changing nothing, if the state can't be one.
         """
-        self._take(_read_checkpoint(checkpoint))
+        self._state = _state(checkpoint)
+        self.sample, self.status, self.commands = checkpoint.sample, checkpoint.status, checkpoint.commands
 
-    def resume(self, checkpoint: Mapping[str, Any]) -> None:
-        """Go on from the state of ``checkpoint`` while simulated time goes on too.
+    def resume(self, checkpoint: Checkpoint) -> None:
+        """Take the state of ``checkpoint`` alone: simulated time goes on, and so do the parameters in force.
 
-        All comes out as after ``restore``, at other times. Raises GearboxError, changing nothing, if it can't
-        be one, or is of a run that had ended.
+        Everything comes out as after ``restore``, at other times. Raises GearboxError, changing nothing, if
+        the state can't be one, or is of a run that had ended.
         """
-        found = _read_resumable(checkpoint)
-        found.state["impact_time"] += (self.sample - found.sample) * self._interval_ns / 1e9
-        self._take(found._replace(sample=self.sample))
-
-    def _take(self, found: _Checkpoint) -> None:
-        self.sample, self.status, self.commands, self._state = found
+        require_resumable(checkpoint)
+        state = _state(checkpoint)
+        state["impact_time"] += (self.sample - checkpoint.sample) * self._interval_ns / 1e9
+        self._state, self.status, self.commands = state, checkpoint.status, checkpoint.commands
 
     def _reason(self) -> str:
         if self.status is Status.OVER_SPEED:
@@ -211,40 +210,20 @@ class Engine:
         return ""
 
 
-def require_resumable(checkpoint: Mapping[str, Any]) -> None:
+def require_resumable(checkpoint: Checkpoint) -> None:
     """Raise GearboxError where ``Engine.resume`` would."""
-    _read_resumable(checkpoint)
+    require_running(checkpoint)
+    _state(checkpoint)
 
 
-class _Checkpoint(NamedTuple):
-    sample: int
-    status: Status
-    commands: Commands
-    state: NDArray[Any]
+_STATE_NAMES = STATE.names or ()
 
 
-_STATE_NAMES = kernel.STATE.names or ()
-
-
-def _read_resumable(checkpoint: Mapping[str, Any]) -> _Checkpoint:
-    found = _read_checkpoint(checkpoint)
-    if found.status is not Status.RUNNING:
-        raise GearboxError("the checkpoint is of a run that had ended: take an earlier one")
-    return found
-
-
-def _read_checkpoint(checkpoint: Mapping[str, Any]) -> _Checkpoint:
+def _state(checkpoint: Checkpoint) -> NDArray[Any]:
+    state = aligned_zeros((1,), STATE)
     try:
-        form = checkpoint["format"]
-        if form != CHECKPOINT_FORMAT:
-            raise GearboxError(
-                f"the checkpoint has format {form}, this version reads {CHECKPOINT_FORMAT}: "
-                "use the version that wrote it"
-            )
-        state = derived.aligned_zeros((1,), kernel.STATE)
         for name in _STATE_NAMES:
-            state[name] = checkpoint["state"][name]
-        commands = Commands(**{name: float(value) for name, value in checkpoint["commands"].items()})
-        return _Checkpoint(int(checkpoint["sample"]), Status(checkpoint["status"]), commands, state)
-    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
+            state[name] = checkpoint.state[name]
+    except (KeyError, OverflowError, TypeError, ValueError) as error:
         raise GearboxError(f"the checkpoint lacks or spoils an entry: {error!r}") from error
+    return state

@@ -20,12 +20,19 @@ from gear_dynamics_ros.events import (
     RESTORE,
     RESUME,
     START,
+    TIMEOUT,
 )
 from gear_dynamics_ros.messages.encoder import Encoder, Record
-from gear_dynamics_ros.parameters import ParameterChange, Parameters
+from gear_dynamics_ros.parameters import OperationParameters, ParameterChange
+from gear_dynamics_ros.simulation.checkpoint import Checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run_state import Ending, RunState
 from gear_dynamics_ros.simulation.sinks import Sink
+
+
+def commands_of_timeout(operation: OperationParameters) -> Mapping[str, float]:
+    """Fields of Commands, with their values, that a time-out puts in force: none where it holds them."""
+    return {"drive_torque": 0.0, "load_torque": 0.0} if operation.on_timeout == "release" else {}
 
 
 class Run:
@@ -91,13 +98,33 @@ class Run:
         self.engine.reset()
         self._start_again(RESET, message)
 
-    def restore(self, checkpoint: Mapping[str, Any], message: str = "") -> None:
+    def resume(self, checkpoint: Checkpoint, message: str = "") -> None:
         """Go on from the state of ``checkpoint`` while simulated time goes on, as ``Engine.resume`` does.
+
+        Writes an event ``restore``, as operators know it, with the whole checkpoint.
 
         Raises GearboxError, changing nothing, if it can't be one, or is of a run that had ended.
         """
         self.engine.resume(checkpoint)
-        self._start_again(RESTORE, message, checkpoint=checkpoint)
+        self._start_again(RESTORE, message, checkpoint=checkpoint.to_tree())
+
+    @property
+    def unreleased(self) -> bool:
+        """Whether torques are in force that a time-out would release."""
+        in_force = self.engine.commands
+        released = commands_of_timeout(self.engine.parameters.operation)
+        return any(getattr(in_force, name) != value for name, value in released.items())
+
+    def time_out(self) -> None:
+        """Write that no command came in time; release the torques where operation.on_timeout says so."""
+        operation = self.engine.parameters.operation
+        released = commands_of_timeout(operation)
+        if released:
+            self.engine.command(self.engine.commands._replace(**released))
+            self._forget_applied()
+        outcome = "torques released" if released else "commands held"
+        details = {"commands": released} if released else {}
+        self.write_event(TIMEOUT, f"no command for {operation.command_timeout:g} s: {outcome}", **details)
 
     def change(self, change: ParameterChange) -> None:
         """Put ``change`` in force from the next sample on, as ``Engine.change`` does.
@@ -147,7 +174,7 @@ class Run:
         if sink in self._newcomers:
             self._newcomers.remove(sink)
 
-    def checkpoint(self) -> dict[str, Any]:
+    def checkpoint(self) -> Checkpoint:
         """State before the next sample."""
         return self.engine.checkpoint()
 
@@ -221,23 +248,3 @@ def _samples(duration: float, interval_ns: int) -> int | None:
         return None
     # The decimal that the user typed, not the binary fraction beside it, decides how many samples fit.
     return math.ceil(Fraction(repr(duration)) * 10**9 / interval_ns)
-
-
-def advice(parameters: Parameters) -> list[str]:
-    """What is allowed but hardly meant, a line each."""
-    operation, gears = parameters.operation, parameters.gears
-    if operation.control != "torque":
-        return []
-    ratio = gears.driving.teeth / gears.driven.teeth
-    speed = operation.speed * ratio if operation.initial == "touching" else 0.0
-    load = operation.load_torque * (math.tanh(speed) if operation.load_law == "brake" else 1.0)
-    load += operation.load_viscous * speed
-    surplus = operation.drive_torque - load * ratio
-    if math.isclose(operation.drive_torque, load * ratio, rel_tol=1e-9, abs_tol=1e-9):
-        return []
-    acceleration = surplus / (gears.driving.inertia + gears.driven.inertia * ratio**2)
-    return [
-        f"operation.drive_torque = {operation.drive_torque:g} N m does not balance the load of "
-        f"{load * ratio:g} N m at the driving shaft: the speed changes by {acceleration:.4g} rad/s^2; "
-        "balance them or set operation.control: speed"
-    ]

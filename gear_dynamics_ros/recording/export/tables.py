@@ -19,8 +19,8 @@ from gear_dynamics_ros.channels import (
 )
 from gear_dynamics_ros.chunk import Commands, Counters
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.recording import windows
-from gear_dynamics_ros.recording.reader import BLOCK_SAMPLES, Event, Recording
+from gear_dynamics_ros.events import OperatorEvent
+from gear_dynamics_ros.recording.reader import BLOCK_SAMPLES, Recording
 
 NUMBER: Final = "<f8"
 INTEGER: Final = "<i8"
@@ -68,7 +68,7 @@ def waveform(
     Raises UsageError on a channel that is not there or is named twice, and on a window without samples;
     GearboxError if the whole recording has none.
     """
-    first, beyond = windows.checked(recording, start, end)
+    first, beyond = recording.require_window(start, end)
     if first == beyond:
         raise GearboxError(f"{recording.path} holds no samples: nothing to export")
     wanted = recording.channel_names if channels is None else tuple(channels)
@@ -84,7 +84,7 @@ def waveform(
 
 def impacts(recording: Recording, start: float | None, end: float | None) -> Table:
     """Bearing contacts that ended at times in [start, end) s."""
-    windows.checked(recording, start, end)
+    recording.require_window(start, end)
     columns = tuple(map(_number, IMPACTS))
     low, high = -math.inf if start is None else start, math.inf if end is None else end
     return Table(columns, _impact_blocks(recording, low, high, row_type(columns)))
@@ -105,15 +105,11 @@ def commands(recording: Recording, start: float | None, end: float | None) -> Ta
 
 
 def events(recording: Recording, start: float | None, end: float | None) -> Table:
-    """Events at times in [start, end) s; without the state that a restore brought.
-
-    The counters are left out where an event of an old recording lacks them.
-    """
+    """Events at times in [start, end) s; without the state that a restore brought."""
     inside = _inside(recording, start, end)
     found = [event for event in recording.events if inside(event.sample)]
-    counted = COUNTERS if all(event.counters for event in found) else ()
-    columns = (SAMPLE, TIME, *HAPPENING, *counted)
-    rows = (_event_row(event, bool(counted)) for event in found)
+    columns = (SAMPLE, TIME, *HAPPENING, *COUNTERS)
+    rows = (_event_row(event) for event in found)
     return Table(columns, _listed(recording, rows, row_type(columns)))
 
 
@@ -151,9 +147,9 @@ def _time(recording: Recording, sample: int) -> float:
 
 def _inside(recording: Recording, start: float | None, end: float | None) -> Callable[[int], bool]:
     """Whether a sample, which may be the one after the last, is at a time in [start, end)."""
-    windows.checked(recording, start, end)
-    low = -sys.maxsize if start is None else recording.at(start)
-    high = sys.maxsize if end is None else recording.at(end)
+    recording.require_window(start, end)
+    low = -sys.maxsize if start is None else recording.sample_at(start)
+    high = sys.maxsize if end is None else recording.sample_at(end)
     return lambda sample: low <= sample < high
 
 
@@ -171,14 +167,14 @@ def _impact_blocks(
     for time_ns, values in recording.rows("impacts"):
         ends = values[:, 1]
         kept = np.ascontiguousarray(values[(ends >= low) & (ends < high)])
-        yield Block(kept.view(dtype)[:, 0], recording.sample(time_ns) + 1)
+        yield Block(kept.view(dtype)[:, 0], recording.sample_of(time_ns) + 1)
 
 
 def _energy_blocks(
     recording: Recording, inside: Callable[[int], bool], dtype: np.dtype[np.void]
 ) -> Iterator[Block]:
     for time_ns, values in recording.rows("energy"):
-        sample = recording.sample(time_ns) + 1
+        sample = recording.sample_of(time_ns) + 1
         if inside(sample):
             timed = np.column_stack([[_time(recording, sample)], values])
             yield Block(_rows(np.array([sample]), timed, dtype), sample)
@@ -206,7 +202,6 @@ def _listed(
     yield Block(np.array(waiting, dtype=dtype), recording.end_sample)
 
 
-def _event_row(event: Event, counted: bool) -> tuple[Any, ...]:
-    counters = tuple(event.counters[name] for name in Counters._fields) if counted else ()
+def _event_row(event: OperatorEvent) -> tuple[Any, ...]:
     changed = json.dumps(dict(event.parameters)) if event.parameters else ""
-    return event.sample, event.time, event.kind, event.message, changed, *counters
+    return event.sample, event.time, event.kind, event.message, changed, *event.counters

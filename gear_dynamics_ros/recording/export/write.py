@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import BinaryIO, Final, NamedTuple
+from typing import BinaryIO, NamedTuple
 
-from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.recording.export import tables
 from gear_dynamics_ros.recording.export.formats import FORMATS, Maker
 from gear_dynamics_ros.recording.export.tables import Table
 from gear_dynamics_ros.recording.reader import Recording
-from gear_dynamics_ros.system.files import sync_folder
-
-PARTIAL: Final = ".part"
+from gear_dynamics_ros.system.files import new_file
 
 
 class Exported(NamedTuple):
@@ -47,9 +43,8 @@ def export(
     """
     make = FORMATS[format or _suffix(path)]
     chosen = _select(recording, table, channels, start, end)
-    _require_free(path)
-    with _partial(path) as stream:
-        rows = _write(stream, path, chosen, make, _about(recording, table), progress)
+    with new_file(path) as stream:
+        rows = _write(stream, chosen, make, _about(recording, table), progress)
     return Exported(rows, len(chosen.columns), path.stat().st_size)
 
 
@@ -79,12 +74,13 @@ def _select(
 
 
 def _about(recording: Recording, table: str) -> dict[str, str]:
-    """What a file that has room for it says of its origin."""
+    """What a file that has room for it says of where it is from."""
     return {
         "table": table,
         "recording": recording.path.name,
         "version": recording.version,
         "kernel_hash": recording.kernel_hash,
+        "model_hash": recording.run.provenance.model_hash,
         "node": recording.node,
         "epoch_ns": str(recording.epoch_ns),
         "sample_interval_ns": str(recording.sample_interval_ns),
@@ -94,79 +90,22 @@ def _about(recording: Recording, table: str) -> dict[str, str]:
 
 def _write(
     stream: BinaryIO,
-    path: Path,
     table: Table,
     make: Maker,
     about: Mapping[str, str],
     progress: Callable[[int], None] | None,
 ) -> int:
     """Write the whole table; returns the number of rows."""
-    with _naming(path):
-        file = make(stream, table.columns, about)
+    file = make(stream, table.columns, about)
     rows = 0
     try:
         for block in table.blocks:
-            with _naming(path):
-                file.write(block.rows)
+            file.write(block.rows)
             rows += len(block.rows)
             if progress is not None:
                 progress(block.beyond)
-        with _naming(path):
-            file.finish()
+        file.finish()
     except BaseException:
         file.abandon()
         raise
     return rows
-
-
-@contextmanager
-def _partial(path: Path) -> Iterator[BinaryIO]:
-    """A file beside ``path`` that takes its place at the end, or is removed when an exception comes."""
-    part = path.with_name(path.name + PARTIAL)
-    stream = _create(part)
-    try:
-        yield stream
-        with _naming(path):
-            stream.flush()
-            os.fsync(stream.fileno())
-            stream.close()
-        _require_free(path)
-        with _naming(path):
-            part.rename(path)
-            sync_folder(path.parent)
-    except BaseException:
-        with suppress(OSError):  # of writing what the stream still holds, which is thrown away
-            stream.close()
-        part.unlink(missing_ok=True)
-        raise
-
-
-def _create(part: Path) -> BinaryIO:
-    try:
-        return part.open("xb")
-    except FileExistsError:
-        raise UsageError(
-            f"'{part}' is there: another export is at work on it, or was killed: then remove it"
-        ) from None
-    except FileNotFoundError:
-        raise UsageError(
-            f"the folder '{part.parent}' does not exist: make it or choose another place"
-        ) from None
-    except OSError as error:
-        raise UsageError(f"can't make '{part}': {error.strerror}: choose a writable place") from error
-
-
-def _require_free(path: Path) -> None:
-    if os.path.lexists(path):
-        raise UsageError(f"'{path}' exists already and is not overwritten: choose another name")
-
-
-@contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Failures of writing say which file it was."""
-    try:
-        yield
-    except OSError as error:
-        raise GearboxError(
-            f"can't write '{path}': {error.strerror or error}: make room or choose another place"
-        ) from error

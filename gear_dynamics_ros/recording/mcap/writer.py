@@ -28,7 +28,8 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 
-from gear_dynamics_ros.recording.mcap.survey import Survey, encode, ending
+from gear_dynamics_ros.recording.mcap.index import FileIndex, ending
+from gear_dynamics_ros.recording.mcap.records import encode
 
 CHUNK_BYTES: Final = 1 << 20
 # Higher levels cost twice the time and save a tenth of a per cent: samples of doubles hardly compress.
@@ -46,14 +47,14 @@ class McapWriter:
 
     Where not even the beginning can be written, no file is left behind.
 
-    ``survey`` tells what the file holds; its ``end`` is where the whole records end.
+    ``index`` tells what the file holds; its ``end`` is where the whole records end.
     """
 
     def __init__(self, path: Path, library: str) -> None:
         self._path = path
         self._file = path.open("xb", buffering=0)
         self._identity = _identity(os.fstat(self._file.fileno()))
-        self.survey = Survey(complete=False)
+        self.index = FileIndex(complete=False)
         self._pending = bytearray()
         # Channel -> time, offset, time, offset ... in the open chunk.
         self._positions: dict[int, list[int]] = {}
@@ -73,7 +74,7 @@ class McapWriter:
             (Attachment(create_time=time_ns, log_time=time_ns, name=name, media_type=media_type, data=data),)
         )
         offset = self._append(record)
-        self.survey.attachments.append(
+        self.index.attachments.append(
             AttachmentIndex(
                 offset=offset,
                 length=len(record),
@@ -89,13 +90,13 @@ class McapWriter:
         """Write a metadata record."""
         record = encode((Metadata(metadata=dict(values), name=name),))
         offset = self._append(record)
-        self.survey.metadata.append(MetadataIndex(length=len(record), name=name, offset=offset))
+        self.index.metadata.append(MetadataIndex(length=len(record), name=name, offset=offset))
 
     def add_definitions(self, schemas: Mapping[int, Schema], channels: Mapping[int, Channel]) -> None:
         """Write schemas and channels with the numbers they have, before and outside of the chunks."""
         self._append(encode((*schemas.values(), *channels.values())))
-        self.survey.schemas.update(schemas)
-        self.survey.channels.update(channels)
+        self.index.schemas.update(schemas)
+        self.index.channels.update(channels)
 
     def add_message(self, channel: int, sequence: int, time_ns: int, data: bytes) -> None:
         """Add a message to the open chunk."""
@@ -145,7 +146,7 @@ class McapWriter:
         indexes = {channel: _message_index(channel, flat) for channel, flat in positions.items()}
         offset = self._append(b"".join((*record, *indexes.values())))
         length = sum(map(len, record))
-        self.survey.chunks.append(
+        self.index.chunks.append(
             ChunkIndex(
                 chunk_length=length,
                 chunk_start_offset=offset,
@@ -159,7 +160,7 @@ class McapWriter:
             )
         )
         for channel, flat in positions.items():
-            self.survey.counts[channel] = self.survey.counts.get(channel, 0) + len(flat) // 2
+            self.index.counts[channel] = self.index.counts.get(channel, 0) + len(flat) // 2
 
     @property
     def in_place(self) -> bool:
@@ -177,21 +178,21 @@ class McapWriter:
         messages = sum(map(len, self._positions.values())) // 2
         self._pending.clear()
         self._positions.clear()
-        self._file.truncate(self.survey.end)
-        self._file.seek(self.survey.end)
+        self._file.truncate(self.index.end)
+        self._file.seek(self.index.end)
         return messages
 
     def finish(self) -> None:
         """Write the open chunk, the indexes and the summary, down to the disk."""
         self.end_chunk()
-        self._append(ending(self.survey))
+        self._append(ending(self.index))
         self.sync()
 
     def sync(self) -> None:
         """Bring what was written to the disk, if there is anything new."""
-        if self._synced != self.survey.end:
+        if self._synced != self.index.end:
             os.fsync(self._file.fileno())
-            self._synced = self.survey.end
+            self._synced = self.index.end
 
     def close(self) -> None:
         """Close the file as it is."""
@@ -202,8 +203,8 @@ class McapWriter:
         rest = memoryview(data)
         while rest:
             rest = rest[self._file.write(rest) :]
-        offset = self.survey.end
-        self.survey.end += len(data)
+        offset = self.index.end
+        self.index.end += len(data)
         return offset
 
 
