@@ -295,7 +295,7 @@ def _simulated(parameters: Parameters, path: Path) -> Path:
     engine = Engine(parameters)
     recorder = Recorder(path, engine.checkpoint(), 0)
     run = Run(engine, Encoder(parameters, 0), [RecorderSink(recorder, engine)], duration=VERIFIED)
-    while not run.end:
+    while not run.state.ended:
         run.step()
     run.close()
     return path

@@ -16,7 +16,7 @@ from gear_dynamics_ros import __version__, recording
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.cli.simulate import simulate_main as simulate
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.parameters import Parameters, specifications, updated
+from gear_dynamics_ros.parameters import Parameters, change_values, specifications, updated
 from gear_dynamics_ros.physics.constants import excitation_table, kernel_constants
 from gear_dynamics_ros.replay.verify import verify_recording
 from gear_dynamics_ros.simulation import checkpoint
@@ -31,7 +31,7 @@ def file(tmp_path: Path) -> Path:
     """Checkpoint after 2.5 ms with a parameter and a command of its own."""
     engine = Engine(Parameters.from_flat({"model": "compared", **LIGHT}))
     engine.advance(100)
-    engine.change(updated(engine.parameters, {"mesh.stiffness": 2e8}))
+    engine.change(change_values(engine.parameters, {"mesh.stiffness": 2e8}))
     engine.command(Commands(3.0, 4.0, 1500.0))
     engine.advance(150)
     path = tmp_path / "state.json"
@@ -46,7 +46,7 @@ def test_a_fresh_engine_goes_on_bit_for_bit(
 ) -> None:
     engine = Engine(Parameters.from_flat({"model": model, **LIGHT}))
     engine.advance(sample)
-    engine.change(updated(engine.parameters, {"mesh.stiffness": stiffness}))
+    engine.change(change_values(engine.parameters, {"mesh.stiffness": stiffness}))
     checkpoint.save_checkpoint(tmp_path / "state.json", engine.checkpoint())
     expected = engine.advance(500)
 
@@ -170,7 +170,7 @@ def test_simulate_goes_on_from_one(file: Path, tmp_path: Path) -> None:
     saved = checkpoint.load_checkpoint(file)
     engine = Engine(saved.checkpoint.parameters)
     engine.resume(saved.checkpoint)
-    engine.change(updated(saved.checkpoint.parameters, {"operation.load_torque": 9.0}))
+    engine.change(change_values(saved.checkpoint.parameters, {"operation.load_torque": 9.0}))
     words = ["--from-checkpoint", str(file), "--duration", "0.005", "--output", str(tmp_path / "bag")]
     assert simulate([*words, "--set", "operation.load_torque=9"]) == 0
     read = recording.open(tmp_path / "bag")

@@ -26,7 +26,7 @@ from gear_dynamics_ros.channels import CHANNEL_NAMES
 from gear_dynamics_ros.chunk import Commands, Samples
 from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.messages.encoder import Encoder
-from gear_dynamics_ros.parameters import Parameters, updated
+from gear_dynamics_ros.parameters import Parameters, change_values
 from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.replay.pairing import (
@@ -53,7 +53,7 @@ def perform(path: Path, deeds: Sequence[Any], chosen: dict[str, Any], late: int 
             recorder = Recorder(path, run.checkpoint(), 0)
             run.attach(RecorderSink(recorder, run.engine))
         if isinstance(deed, dict):
-            run.change(updated(engine.parameters, deed))
+            run.change(change_values(engine.parameters, deed))
         run.step(deed if isinstance(deed, Commands) else None)
     run.finish("as asked")
     run.close()

@@ -24,7 +24,7 @@ from gear_dynamics_ros.chunk import Chunk, Commands, Counters, Status
 from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.messages.encoder import Encoder
-from gear_dynamics_ros.parameters import Parameters, dump_parameters, updated
+from gear_dynamics_ros.parameters import Parameters, change_values, dump_parameters
 from gear_dynamics_ros.recording.export.formats import ROW_GROUP
 from gear_dynamics_ros.recording.export.write import export_table as export
 from gear_dynamics_ros.recording.reader import BLOCK_SAMPLES
@@ -91,7 +91,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = Run(engine, Encoder(engine.parameters, 0), [RecorderSink(recorder, engine)])
     run.step()
     run.step(Commands(30.0, 55.0, 1700.0))
-    run.change(updated(engine.parameters, {"oil.viscosity": 0.03}))
+    run.change(change_values(engine.parameters, {"oil.viscosity": 0.03}))
     run.step()
     run.reset("to begin, again")
     run.step(Commands(30.0, -20.0, 1500.0))

@@ -25,7 +25,7 @@ from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages.cdr import message_class, serialize
 from gear_dynamics_ros.messages.decoder import MessageDecoder
 from gear_dynamics_ros.messages.encoder import Encoder, Record
-from gear_dynamics_ros.parameters import Parameters, updated
+from gear_dynamics_ros.parameters import Parameters, change_values
 from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.simulation.engine import Engine
@@ -56,10 +56,10 @@ def perform(path: Path) -> _Kept:
     start = run.checkpoint()
     load = [("load_torque_command", serialize(FLOAT64, message_class(FLOAT64)(data=55.0)))]
     joint = [("joint_command", encoder.applied(Commands(31.0, 25.0, 1500.0), 0).data)]
-    run.emit([encoder.model_info(0, "{}")])
+    run.write_records([encoder.model_info(0, "{}")])
     run.step()
     run.step(engine.commands._replace(load_torque=55.0), load)
-    run.change(updated(engine.parameters, {"oil.viscosity": 0.03}))
+    run.change(change_values(engine.parameters, {"oil.viscosity": 0.03}))
     run.step(Commands(31.0, 25.0, 1500.0), joint)
     run.resume(start)
     run.step()

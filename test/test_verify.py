@@ -26,7 +26,7 @@ from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.cdr import message_class, serialize
 from gear_dynamics_ros.messages.encoder import Encoder
-from gear_dynamics_ros.parameters import Parameters, updated
+from gear_dynamics_ros.parameters import Parameters, change_to, change_values
 from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.recording.ring import Ring
@@ -77,19 +77,21 @@ def perform(path: Path, deeds: Sequence[Any], parameters: Parameters) -> Path:
         if isinstance(deed, Commands):
             commands = deed
         elif isinstance(deed, dict):
-            run.change(updated(engine.parameters, deed))
+            run.change(change_values(engine.parameters, deed))
         elif deed == "reset":
             run.reset()
         elif deed == "save":
             saved = (engine.parameters, run.checkpoint())
         elif deed == "restore":
-            run.change(saved[0])
+            run.change(change_to(engine.parameters, saved[0]))
             run.resume(saved[1], "as saved")
         elif deed == "split":
             sink.split()
         elif deed == "tell":
             now_ns = engine.sample * parameters.solver.sample_interval_ns
-            run.emit([encoder.model_info(now_ns, '{"told": 1}'), encoder.pacing(now_ns, range(len(PACE)))])
+            run.write_records(
+                [encoder.model_info(now_ns, '{"told": 1}'), encoder.pacing(now_ns, range(len(PACE)))]
+            )
         elif deed == "step":
             run.step(commands, received(commands))
             commands = None
@@ -154,7 +156,7 @@ def test_what_a_ring_holds_comes_out_again(deeds: list[Any], held: float) -> Non
     saved = run.checkpoint()
     for deed in deeds:
         if isinstance(deed, dict):
-            run.change(updated(engine.parameters, deed))
+            run.change(change_values(engine.parameters, deed))
         elif deed == "reset":
             run.reset()
         elif deed == "save":

@@ -14,7 +14,7 @@ from gear_dynamics_ros.simulation.provenance import model_hash
 from gear_dynamics_ros.topics import TOPICS, resolve
 
 
-def describe(parameters: Parameters, epoch_ns: int, node: str) -> str:
+def describe_model(parameters: Parameters, epoch_ns: int, node: str) -> str:
     """JSON text; ``epoch_ns`` is the ROS time of simulated time 0, ``node`` the full name."""
     prefix = parameters.joint_prefix
     named = {entry.name: entry for entry in (*CHANNELS, *ENERGIES)}
