@@ -36,6 +36,7 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
         "physics",
         "messages",
         "simulation",
+        "recording",
         "viewer",
         "realtime",
         "replay",
