@@ -1,4 +1,4 @@
-"""The table of channels: what each column of numbers is called, its unit and meaning.
+"""The table of channels: name, unit and meaning of each column of numbers.
 
 SI units throughout; forces are those on the gear.
 """
@@ -46,7 +46,7 @@ CHANNELS: tuple[Channel, ...] = (
     Channel("driving_angle", "rad", "theta_1 within one revolution, 0 to 2 pi"),
     Channel("mesh_phase", "rad", "mesh phase phi within one tooth, 0 to 2 pi"),
 )
-# On request, after the others: works and losses since the start or the last reset, and what is stored now.
+# Optional columns after CHANNELS: work and losses since the start or the last reset, and stored energy.
 ENERGIES: tuple[Channel, ...] = (
     Channel("shaft_work", "J", "work of the drive torque less that of the load torque"),
     Channel(
@@ -62,7 +62,7 @@ ENERGIES: tuple[Channel, ...] = (
     Channel("kinetic_energy", "J", "of both gears, their rotation included"),
     Channel("elastic_energy", "J", "in teeth and bearing contacts"),
 )
-# One row a bearing contact that ended.
+# One row for each bearing contact that ended.
 IMPACTS: tuple[Channel, ...] = (
     Channel("begin", "s", "simulated time at which the gap closed"),
     Channel("end", "s", "simulated time at which it opened again"),
@@ -71,7 +71,7 @@ IMPACTS: tuple[Channel, ...] = (
     Channel("rebound_speed", "m/s", "opening speed when it opened"),
     Channel("peak_force", "N", "greatest contact force between"),
 )
-# One row a report of the pacing.
+# One row for each report of the pacing.
 PACE: tuple[Channel, ...] = (
     Channel("time", "s", "simulated time"),
     Channel("real_time_factor", "", "reached since the last report"),
@@ -86,10 +86,10 @@ GEARS: Final = ("driving", "driven")
 
 
 def contact_channels(gear: str) -> tuple[str, str]:
-    """Channels of the bearing contact force on one gear."""
+    """Channels x and y of the bearing contact force on ``gear``, one of GEARS."""
     return f"{gear}_contact_force_x", f"{gear}_contact_force_y"
 
 
 def film_channels(gear: str) -> tuple[str, str]:
-    """Channels of the oil film force on one gear."""
+    """Channels x and y of the oil film force on ``gear``, one of GEARS."""
     return f"{gear}_film_force_x", f"{gear}_film_force_y"

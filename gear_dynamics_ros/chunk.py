@@ -1,6 +1,6 @@
-"""What an engine takes and makes: commands, chunks of samples, and samples with names to their columns.
+"""Input and output of an engine: commands, chunks of samples, and samples with named columns.
 
-SI units throughout; simulated time is an integer of nanoseconds.
+SI units throughout; simulated time is an integer number of nanoseconds.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Counters(NamedTuple):
 
     steps: int
     events: int  # contact and clamp events located
-    capped: int  # root searches or steps that met their limit of iterations or events
+    capped: int  # root searches or steps that reached their limit of iterations or events
     impacts: int  # bearing contacts begun
     flank_changes: int  # mesh contacts begun or ended
 
@@ -46,12 +46,12 @@ class Counters(NamedTuple):
 class Chunk:
     """The samples of one engine call, [t0, t0 + T).
 
-    ``samples`` has shape (n, 28), one column a CHANNELS entry, or (n, 37) with ENERGIES after them where the
-    parameters ask for one; C-contiguous and never written to again. ``energies`` (9,) are ENERGIES after the
-    last sample's steps; ``impacts`` (k, 6) has a row of IMPACTS for each bearing contact that ended.
-    ``angles`` has shape (n, 2): shaft angles of driving and driven gear in rad, accumulated over all
-    revolutions since the start or the last reset. ``status`` other than RUNNING means the run ended at the
-    last sample; ``message`` then says why.
+    ``samples`` has shape (n, 28), one column for each entry of CHANNELS, or (n, 37) with ENERGIES after them
+    if ``waveform_channels`` names one of these. It is C-contiguous and never changes. ``energies`` (9,) are
+    ENERGIES after the steps of the last sample. ``impacts`` (k, 6) has a row of IMPACTS for each bearing
+    contact that ended. ``angles`` (n, 2) are the angles of the driving and the driven shaft in rad,
+    accumulated over all revolutions since the start or the last reset. A ``status`` other than RUNNING means
+    that the run ended at the last sample; ``message`` then says why.
     """
 
     first_sample: int
@@ -69,26 +69,26 @@ class Chunk:
         return len(self.samples)
 
     def __getitem__(self, channel: str) -> NDArray[np.float64]:
-        """Column of one channel, shape (n,)."""
+        """Column of one channel, shape (n,). Raises KeyError on an unknown name."""
         return self.samples[:, COLUMN[channel]]
 
     @property
     def start_ns(self) -> int:
-        """Simulated time of the first sample."""
+        """Simulated time of the first sample, ns."""
         return self.first_sample * self.interval_ns
 
     @property
     def last_ns(self) -> int:
-        """Simulated time of the last sample."""
+        """Simulated time of the last sample, ns."""
         return (self.first_sample + len(self) - 1) * self.interval_ns
 
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Consecutive samples: ``values`` has shape (n, channels), SI units, one column a name."""
+    """Consecutive samples: ``values`` has shape (n, channels), SI units, one column for each of ``names``."""
 
-    first: int
-    interval: float
+    first: int  # index of the first sample
+    interval: float  # s
     names: tuple[str, ...]
     values: NDArray[np.float64]
 
@@ -96,11 +96,11 @@ class Samples:
         return len(self.values)
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
-        """Column of one channel, shape (n,)."""
+        """Column of one channel, shape (n,). Raises ValueError if it is not among ``names``."""
         return self.values[:, self.names.index(name)]
 
     def has(self, *names: str) -> bool:
-        """Whether all of these channels are there."""
+        """Whether all of these channels are among ``names``."""
         return all(name in self.names for name in names)
 
     @property
@@ -124,10 +124,10 @@ class Samples:
         return np.hypot(self[x], self[y])
 
     def bearing_force(self, gear: str) -> NDArray[np.float64]:
-        """Magnitude of contact and film force together in N, shape (n,)."""
+        """Magnitude of the sum of contact and film force in N, shape (n,)."""
         (contact_x, contact_y), (film_x, film_y) = contact_channels(gear), film_channels(gear)
         return np.hypot(self[contact_x] + self[film_x], self[contact_y] + self[film_y])
 
     def has_bearing_force(self, gear: str) -> bool:
-        """Whether contact and film force of ``gear`` are there."""
+        """Whether the channels of contact and film force of ``gear`` are among ``names``."""
         return self.has(*contact_channels(gear), *film_channels(gear))

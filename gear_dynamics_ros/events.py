@@ -1,4 +1,4 @@
-"""Operator events: what happens to a run between two samples."""
+"""Operator events: what an operator, or a time-out, does to a run between two samples."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ RESET = "reset"
 PAUSE = "pause"
 RESUME = "resume"  # after a pause
 CHANGE = "parameters"
-RESTORE = "restore"  # ~/restore_checkpoint: the state is that of a checkpoint, while time goes on
+RESTORE = "restore"  # ~/restore_checkpoint: the state of a checkpoint; simulated time continues
 TIMEOUT = "timeout"  # no command came within operation.command_timeout
 END = "end"
 # All kinds of events.
 EVENTS = frozenset({START, RESET, PAUSE, RESUME, CHANGE, RESTORE, TIMEOUT, END})
 
-_NOTHING: Mapping[str, Any] = MappingProxyType({})
+_EMPTY: Mapping[str, Any] = MappingProxyType({})
 
 
 class OperatorEvent(NamedTuple):
-    """What happened to a run before ``sample`` was made."""
+    """One event, after the sample before ``sample`` and before ``sample`` is computed."""
 
     sample: int
     time: float  # s, simulated
     kind: str  # one of EVENTS
     message: str
-    counters: Counters  # then
-    parameters: Mapping[str, Any] = _NOTHING  # by dotted name, that changed
-    checkpoint: Mapping[str, Any] = _NOTHING  # of a restore, as ``Checkpoint.to_tree`` makes it
-    commands: Mapping[str, float] = _NOTHING  # fields of Commands that a time-out put in force
+    counters: Counters  # at that moment
+    parameters: Mapping[str, Any] = _EMPTY  # the changed values, by dotted name
+    checkpoint: Mapping[str, Any] = _EMPTY  # the restored one, as from ``Checkpoint.to_tree``
+    commands: Mapping[str, float] = _EMPTY  # that a time-out put in force, by field of Commands

@@ -1,4 +1,4 @@
-"""The table of topics: name, type, content and quality of service of each."""
+"""The table of topics: name, message type, content and quality of service."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ class Topic(NamedTuple):
     type: str
     content: str
     reliable: bool = True
-    depth: int = 10  # messages kept for a subscriber that is late
-    latched: bool = False  # the last messages also reach who subscribes later
+    depth: int = 10  # messages kept for a slow subscriber
+    latched: bool = False  # late subscribers receive the last messages too
 
 
 FLOAT64 = "std_msgs/msg/Float64"
@@ -27,7 +27,7 @@ DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
 # A subscriber that stalls for a second at the default 500 Hz still gets every chunk of the waveform.
 WAVEFORM_DEPTH = 500
-# A burst must not push out what another publisher commanded just before it.
+# A burst of commands must not displace a command that another publisher sent just before.
 COMMAND_DEPTH = 100
 
 TOPICS: Final[dict[str, Topic]] = {
@@ -94,7 +94,7 @@ TOPICS: Final[dict[str, Topic]] = {
     ),
 }
 
-# Those that command one thing, by the field of Commands that it is; and the one that may command all.
+# Topics with one command each, and its field of Commands; then the topic that can have all commands.
 FLOAT_COMMANDS: Final = {
     "drive_torque_command": "drive_torque",
     "load_torque_command": "load_torque",
@@ -102,7 +102,7 @@ FLOAT_COMMANDS: Final = {
 }
 JOINT_COMMAND: Final = "joint_command"
 COMMAND_TOPICS: Final = (*FLOAT_COMMANDS, JOINT_COMMAND)
-# What the encoder makes of a chunk, in that order; impacts only where some ended, the clock at its rate.
+# Messages that a chunk makes, in this order; impacts only if some ended, the clock at its rate.
 OF_A_CHUNK: Final = (
     "joint_states",
     "dte",
@@ -119,7 +119,7 @@ OF_A_CHUNK: Final = (
 
 
 def is_rows(topic: str) -> bool:
-    """Whether the messages of the topic (key in TOPICS) are laid out like the waveform."""
+    """Whether the messages of the topic (key in TOPICS) have rows of numbers, as the waveform."""
     return TOPICS[topic].type == ARRAY
 
 

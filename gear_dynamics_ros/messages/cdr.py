@@ -18,7 +18,7 @@ def serialize(type_name: str, message: Any) -> bytes:
 
 
 def deserialize(type_name: str, data: bytes | memoryview) -> Any:
-    """Message of the type ``type_name`` from CDR. Raises GearboxError if ``data`` hold none."""
+    """Message of the type ``type_name`` from CDR. Raises GearboxError if ``data`` is not one."""
     try:
         return TYPESTORE.deserialize_cdr(data, type_name)
     except SerdeError as error:
@@ -26,16 +26,16 @@ def deserialize(type_name: str, data: bytes | memoryview) -> Any:
 
 
 def message_class(type_name: str) -> Any:
-    """Class whose instances ``serialize`` takes; fields as in the ROS message, arrays as NumPy's."""
+    """Class of the messages that ``serialize`` takes; fields as in ROS, arrays as NumPy arrays."""
     return TYPESTORE.types[type_name]
 
 
 def stamp(time_ns: int) -> Any:
-    """builtin_interfaces/Time of an integer of nanoseconds."""
+    """builtin_interfaces/Time from an integer number of nanoseconds."""
     seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
     return message_class("builtin_interfaces/msg/Time")(sec=seconds, nanosec=nanoseconds)
 
 
 def stamp_ns(time: Any) -> int:
-    """Integer of nanoseconds of a builtin_interfaces/Time."""
+    """Integer number of nanoseconds of a builtin_interfaces/Time."""
     return int(time.sec) * 1_000_000_000 + int(time.nanosec)

@@ -1,6 +1,6 @@
-"""What messages mean: rows of numbers, events, commands asked for and commands in force.
+"""Values of messages: rows of numbers, events, requested commands and commands in force.
 
-Nothing in a message is trusted: bytes, lengths and values may be anything.
+No content of a message is trusted: bytes, lengths and values may be anything.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from gear_dynamics_ros.events import OperatorEvent
 from gear_dynamics_ros.messages.cdr import deserialize, stamp_ns
 from gear_dynamics_ros.topics import ARRAY, FLOAT_COMMANDS, JOINT_COMMAND, JOINT_STATE, STRING, TOPICS
 
-# Columns of the topics of arrays but the waveform, whose channels are a choice.
+# Columns of the topics with rows, except the waveform: a parameter selects its channels.
 ROW_NAMES: Final[Mapping[str, tuple[str, ...]]] = {
     "energy": tuple(entry.name for entry in ENERGIES),
     "impacts": tuple(entry.name for entry in IMPACTS),
@@ -38,14 +38,14 @@ class AppliedCommands(NamedTuple):
 
 
 class MessageDecoder:
-    """Decodes the messages of one node: the only way from a recording's bytes to values.
+    """Decodes the messages of one node. All tools decode recordings with it.
 
-    Every method takes the CDR of a message with its stamp in ns, and raises GearboxError that names source,
-    topic, stamp and fault where they can't be what the topic holds.
+    Every method takes the CDR of a message and its stamp in ns. If the message does not fit its topic, the
+    method raises GearboxError with source, topic, stamp and fault.
     """
 
     def __init__(self, channels: Sequence[str], joint_prefix: str, source: str) -> None:
-        """``channels`` are those of the waveform; ``source`` is what errors call the recording."""
+        """``channels`` are those of the waveform; errors name ``source`` as the recording."""
         self._prefix = joint_prefix
         self._source = source
         names = {**ROW_NAMES, "waveform": tuple(channels)}
@@ -53,33 +53,33 @@ class MessageDecoder:
 
     def message(self, topic: str, time_ns: int, data: bytes | memoryview) -> Any:
         """Message on ``topic`` (key in TOPICS), fields as in ROS."""
-        with self._naming(topic, time_ns):
+        with self._errors_located(topic, time_ns):
             return deserialize(TOPICS[topic].type, data)
 
     def rows(self, topic: str, time_ns: int, data: bytes | memoryview) -> NDArray[np.float64]:
-        """Rows (n, columns) of a message laid out like the waveform, which may lie in ``data``."""
-        with self._naming(topic, time_ns):
+        """Rows (n, columns) of a message with the layout of the waveform; may be a view of ``data``."""
+        with self._errors_located(topic, time_ns):
             return self._rows[topic].read(data)
 
     def applied(self, time_ns: int, data: bytes | memoryview) -> AppliedCommands:
-        """Commands that a message on ``~/command/applied`` tells."""
-        with self._naming("applied_command", time_ns):
+        """Commands in force of a message on ``~/command/applied``."""
+        with self._errors_located("applied_command", time_ns):
             message = deserialize(JOINT_STATE, data)
             return AppliedCommands(stamp_ns(message.header.stamp), applied_commands(message))
 
     def event(self, time_ns: int, data: bytes | memoryview) -> OperatorEvent:
-        """Event that a message on ``~/event`` tells."""
-        with self._naming("event", time_ns):
+        """Event of a message on ``~/event``."""
+        with self._errors_located("event", time_ns):
             return _event(deserialize(STRING, data).data)
 
     def changes(self, topic: str, time_ns: int, data: bytes | memoryview) -> dict[str, float]:
-        """Fields of Commands that a message on a command topic asks to change, with their values."""
-        with self._naming(topic, time_ns):
-            return changes_meant(topic, deserialize(TOPICS[topic].type, data), self._prefix)[0]
+        """Requested values of a message on a command topic, by field of Commands."""
+        with self._errors_located(topic, time_ns):
+            return requested_changes(topic, deserialize(TOPICS[topic].type, data), self._prefix)[0]
 
     @contextmanager
-    def _naming(self, topic: str, time_ns: int) -> Iterator[None]:
-        """Errors say which message it was."""
+    def _errors_located(self, topic: str, time_ns: int) -> Iterator[None]:
+        """Add source, topic and stamp of the message to errors."""
         try:
             yield
         except GearboxError as error:
@@ -89,18 +89,18 @@ class MessageDecoder:
 
 
 class RowReader:
-    """Reads CDR laid out like the waveform, with ``names`` to its columns.
+    """Reads CDR with the layout of the waveform and the columns ``names``.
 
-    The messages of a recording differ in their numbers, and seldom in what precedes them, decoded once.
+    Most messages of a recording differ in their numbers only: the bytes before them are decoded once.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names = tuple(names)
         self._prefix = b""
-        self._size = -1  # bytes of the message that had it
+        self._size = -1  # bytes of the messages that begin with it
 
     def read(self, data: bytes | memoryview) -> NDArray[np.float64]:
-        """Rows (n, columns), which may lie in ``data``. Raises GearboxError if it is no such message."""
+        """Rows (n, columns), a view of ``data``. Raises GearboxError if ``data`` has another layout."""
         if len(data) != self._size or data[: len(self._prefix)] != self._prefix:
             self._decode_prefix(data)
         rows = np.frombuffer(data, dtype="<f8", offset=len(self._prefix))
@@ -119,14 +119,17 @@ class RowReader:
 
 
 def row_count(data: bytes | memoryview) -> int:
-    """Rows of CDR laid out like the waveform, whatever its columns. Raises GearboxError if it is not."""
+    """Number of rows of CDR with the layout of the waveform and any columns.
+
+    Raises GearboxError if ``data`` has another layout.
+    """
     return len(waveform_samples(deserialize(ARRAY, data))[1])
 
 
 def waveform_samples(message: Any) -> tuple[tuple[str, ...], NDArray[np.float64]]:
-    """Names of the columns and rows (n, columns) of a message laid out like the waveform.
+    """Names of the columns, and rows (n, columns), of a message with the layout of the waveform.
 
-    Raises GearboxError if its numbers do not fill such rows.
+    Raises GearboxError if it has another layout, or its numbers do not fill the rows.
     """
     dimensions = message.layout.dim
     if len(dimensions) != 2:
@@ -141,7 +144,7 @@ def waveform_samples(message: Any) -> tuple[tuple[str, ...], NDArray[np.float64]
 
 
 def applied_commands(message: Any) -> Commands:
-    """Commands in force that an ``applied_command`` message tells. Raises GearboxError if it does not."""
+    """Commands in force of an ``applied_command`` message. Raises GearboxError if one is missing or not finite."""
     if len(message.effort) != 2 or len(message.velocity) != 2:
         raise GearboxError(
             f"it has {len(message.effort)} efforts and {len(message.velocity)} velocities, "
@@ -157,10 +160,10 @@ def applied_commands(message: Any) -> Commands:
     return commands
 
 
-def changes_meant(key: str, message: Any, prefix: str) -> tuple[dict[str, float], list[str]]:
-    """Changes that a message on the command topic ``key`` means, and names of joints that take no commands.
+def requested_changes(key: str, message: Any, prefix: str) -> tuple[dict[str, float], list[str]]:
+    """Changes that a message on the command topic ``key`` requests, and names of joints without commands.
 
-    ``prefix`` is joint_prefix.
+    The changes are values by field of Commands; ``prefix`` is joint_prefix.
     """
     if key == JOINT_COMMAND:
         return joint_changes(prefix, message.name, message.velocity, message.effort)
@@ -170,26 +173,26 @@ def changes_meant(key: str, message: Any, prefix: str) -> tuple[dict[str, float]
 def joint_changes(
     prefix: str, names: Sequence[str], velocity: Sequence[float], effort: Sequence[float]
 ) -> tuple[dict[str, float], list[str]]:
-    """Changes that a JointState means, and the names in it of joints that take no commands.
+    """Changes that a JointState requests, by field of Commands, and its names of joints without commands.
 
-    An empty array, a missing or a NaN entry leaves that command as it is.
+    An empty array, or a missing or NaN entry, leaves that command unchanged.
     """
-    wanted: dict[str, float] = {}
+    changes: dict[str, float] = {}
     unknown: list[str] = []
     for index, name in enumerate(names):
         if name == f"{prefix}driving":
-            _put(wanted, "speed", velocity, index)
-            _put(wanted, "drive_torque", effort, index)
+            _put(changes, "speed", velocity, index)
+            _put(changes, "drive_torque", effort, index)
         elif name == f"{prefix}driven":
-            _put(wanted, "load_torque", effort, index)
-        elif name != f"{prefix}mesh":  # ros2_control names every joint it has, commanded or not
+            _put(changes, "load_torque", effort, index)
+        elif name != f"{prefix}mesh":  # ros2_control sends all joints, with or without commands
             unknown.append(name)
-    return wanted, unknown
+    return changes, unknown
 
 
-def _put(wanted: dict[str, float], name: str, values: Sequence[float], index: int) -> None:
+def _put(changes: dict[str, float], name: str, values: Sequence[float], index: int) -> None:
     if index < len(values) and not math.isnan(values[index]):
-        wanted[name] = float(values[index])
+        changes[name] = float(values[index])
 
 
 def _event(text: str) -> OperatorEvent:
@@ -228,13 +231,13 @@ def _text(value: Any) -> str:
 
 
 def _printable(value: T) -> T:
-    """``value`` as it is. Raises ValueError if a text in it has half a character: JSON can spell that."""
+    """Return ``value``. Raises ValueError if a text in it has half a surrogate pair, which JSON allows."""
     json.dumps(value, ensure_ascii=False).encode()
     return value
 
 
 def _integer(value: Any) -> int:
-    # Those of a sample: the time in ns must fit into 64 bits.
+    # Such as an index of a sample: the time in ns must fit into 64 bits.
     if not isinstance(value, int) or isinstance(value, bool) or abs(value) >= 1 << 62:
         raise TypeError(f"{value!r:.40} is no count")
     return value

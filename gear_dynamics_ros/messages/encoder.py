@@ -1,4 +1,7 @@
-"""Chunks, commands and events as ROS 2 messages in CDR, without ROS: what is published is recorded."""
+"""Chunks, commands and events as ROS 2 messages in CDR, without ROS.
+
+The same bytes are published and recorded.
+"""
 
 from __future__ import annotations
 
@@ -33,12 +36,12 @@ class Record(NamedTuple):
 
 
 def bearing_frame(prefix: str, gear: str) -> str:
-    """Frame of the bearing of ``gear``, driving or driven; ``prefix`` is joint_prefix."""
+    """Name of the frame of a bearing; ``gear`` is one of GEARS, ``prefix`` is joint_prefix."""
     return f"{prefix}{gear}_bearing"
 
 
 def waveform_message(names: Sequence[str], samples: NDArray[np.float64], row: str = "sample") -> Any:
-    """Float64MultiArray of samples (n, len(names)); ``row`` says what one row is."""
+    """Float64MultiArray of samples (n, len(names)); ``row`` is the label of the first dimension."""
     dimension = message_class("std_msgs/msg/MultiArrayDimension")
     rows, columns = samples.shape
     layout = message_class("std_msgs/msg/MultiArrayLayout")(
@@ -58,7 +61,7 @@ def joint_state(
     velocity: Sequence[float],
     effort: Sequence[float],
 ) -> Any:
-    """JointState; each of the three sequences may be empty."""
+    """JointState stamped ``time_ns``; each of the three sequences may be empty."""
     return message_class(JOINT_STATE)(
         header=_header(time_ns, ""),
         name=list(names),
@@ -69,10 +72,7 @@ def joint_state(
 
 
 class Encoder:
-    """Makes the messages of one node's run.
-
-    Stamps are ``epoch_ns`` plus simulated time.
-    """
+    """Makes the messages of one run. Stamps are ``epoch_ns`` plus simulated time, ns."""
 
     def __init__(self, parameters: Parameters, epoch_ns: int) -> None:
         prefix = parameters.joint_prefix
@@ -95,7 +95,7 @@ class Encoder:
         }
 
     def chunk(self, chunk: Chunk) -> list[Record]:
-        """All messages of one chunk, stamped at its last sample; none of a chunk without samples."""
+        """All messages of one chunk, with the stamp of its last sample; none if the chunk is empty."""
         if not len(chunk):
             return []
         time_ns = self._epoch_ns + chunk.last_ns
@@ -114,11 +114,11 @@ class Encoder:
             payloads["impacts"] = self._impacts.pack(chunk.impacts)
         if self._ticks(chunk):
             payloads["clock"] = serialize(CLOCK, message_class(CLOCK)(clock=stamp(time_ns)))
-        payloads["waveform"] = self._waveform.pack(self._picked(chunk.samples))
+        payloads["waveform"] = self._waveform.pack(self._selected(chunk.samples))
         return [Record(topic, time_ns, data) for topic, data in payloads.items()]
 
     def applied(self, commands: Commands, sample: int) -> Record:
-        """Commands in force from ``sample`` on."""
+        """Message of ``commands``, in force from ``sample`` on."""
         time_ns = self._epoch_ns + sample * self._interval_ns
         message = joint_state(
             time_ns,
@@ -132,9 +132,9 @@ class Encoder:
     def event(
         self, kind: str, sample: int, message: str, counters: Counters, **details: Mapping[str, Any]
     ) -> Record:
-        """An operator event (reset, pause, resume, end ...) that happened before ``sample`` was made.
+        """Message of an operator event before ``sample``; ``kind`` is one of EVENTS.
 
-        ``details`` are entries of its own, such as the parameters that changed.
+        ``details`` are entries of its kind, such as the changed parameters.
         """
         elapsed_ns = sample * self._interval_ns
         content = {"sample": sample, "time": elapsed_ns / 1e9, "event": kind, "message": message}
@@ -143,16 +143,16 @@ class Encoder:
         return Record("event", self._epoch_ns + elapsed_ns, data)
 
     def pacing(self, time_ns: int, row: Sequence[float]) -> Record:
-        """A row of PACE."""
+        """Message of a report of the pacing: ``row`` has the columns PACE."""
         data = self._pacing.pack(np.array([row], dtype=np.float64))
         return Record("pacing", time_ns, data)
 
     def model_info(self, time_ns: int, text: str) -> Record:
-        """Description of the model from ``time_ns`` on."""
+        """Message of the description ``text`` of the model, valid from ``time_ns`` on."""
         return Record("model_info", time_ns, serialize(STRING, message_class(STRING)(data=text)))
 
     def _ticks(self, chunk: Chunk) -> bool:
-        """Whether a multiple of 1/clock_rate lies in the chunk: that does not depend on where a run began."""
+        """Whether a multiple of 1/clock_rate lies in the chunk, independent of the start of the run."""
         if not self._clock_ns:
             return False
         next_tick_ns = -(-chunk.start_ns // self._clock_ns) * self._clock_ns
@@ -178,15 +178,15 @@ class Encoder:
             time_ns,
             last[f"{gear}_contact_force_x"] + last[f"{gear}_film_force_x"],
             last[f"{gear}_contact_force_y"] + last[f"{gear}_film_force_y"],
-            *_NO_MORE,
+            *_OTHER_COMPONENTS,
         )
 
-    def _picked(self, samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _selected(self, samples: NDArray[np.float64]) -> NDArray[np.float64]:
         return samples if self._all_channels else np.ascontiguousarray(samples[:, self._columns])
 
 
 class _Packer:
-    """Makes CDR of rows under fixed names; what precedes the numbers is made once for each count of rows."""
+    """Makes CDR of rows with fixed names. All bytes before the numbers are made once for each row count."""
 
     def __init__(self, row: str, names: Sequence[str]) -> None:
         self._row = row
@@ -198,15 +198,15 @@ class _Packer:
         if prefix is None:
             whole = serialize(ARRAY, waveform_message(self._names, rows, self._row))
             prefix = self._prefixes[len(rows)] = whole[: len(whole) - rows.nbytes]
-        # NumPy's own order may be another than the little endian that the CDR header promises
+        # The CDR header says little endian; the byte order of NumPy may be another.
         return b"".join((prefix, rows.astype("<f8", order="C", copy=False).data))
 
 
 class _Stamped:
-    """Makes CDR of a message that is constant but for its header's stamp and the numbers at its end."""
+    """Makes CDR of a message that is constant except for the stamp of its header and its last numbers."""
 
     def __init__(self, example: bytes, numbers: str) -> None:
-        """``numbers`` is their struct format; all else is taken from ``example``."""
+        """``numbers`` is the struct format of the numbers; all other bytes are those of ``example``."""
         self._constant = example[_STAMP_END : len(example) - struct.calcsize(f"<{numbers}")]
         self._whole = struct.Struct(f"<4siI{len(self._constant)}s{numbers}")
 
@@ -214,13 +214,13 @@ class _Stamped:
         return self._whole.pack(_CDR_LITTLE_ENDIAN, *divmod(time_ns, 1_000_000_000), self._constant, *numbers)
 
 
-# What every chunk brings is packed by hand: the general serialiser costs several times as much.
+# The messages of every chunk are packed by hand: the general serialiser takes several times as long.
 _CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 _STAMP_END = len(_CDR_LITTLE_ENDIAN) + 8
-# Position, velocity and effort; before the latter their count and its padding to eight bytes.
+# Position, velocity and effort; before the last two their number of entries, padded to eight bytes.
 _JOINT_NUMBERS = "3dQ3dQ3d"
 _FORCE_AND_TORQUE = "6d"
-_NO_MORE = (0.0,) * 4  # force along z, torques
+_OTHER_COMPONENTS = (0.0,) * 4  # force along z, torques
 
 
 def _float64(value: float) -> bytes:

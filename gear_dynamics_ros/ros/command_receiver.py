@@ -8,7 +8,7 @@ from typing import Any
 from rclpy.node import Node
 
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.messages.decoder import changes_meant
+from gear_dynamics_ros.messages.decoder import requested_changes
 from gear_dynamics_ros.realtime.mailbox import Mailbox
 from gear_dynamics_ros.ros import node_topics
 
@@ -34,7 +34,7 @@ class CommandReceiver:
             self._mailbox.refuse(str(error))
             self._log.warning(str(error), throttle_duration_sec=WARNING_INTERVAL)
             return
-        changes, unknown_joints = changes_meant(key, message, self._joint_prefix)
+        changes, unknown_joints = requested_changes(key, message, self._joint_prefix)
         for name in unknown_joints:
             self._warn_once(name, f"~/command/joint: joint '{name}' takes no commands (said once)")
         refusal = self._mailbox.offer(key, changes, data, time.monotonic_ns())

@@ -1,1 +1,1 @@
-"""State and commands to chunks: no clock, no ROS, no file."""
+"""From state and commands to chunks of samples: no clock, no ROS, no file."""

@@ -1,6 +1,7 @@
 """The state of a run between two samples, and its text in files and recordings.
 
-To *restore* a checkpoint sets state and time. To *resume* from one sets the state alone, while time goes on.
+To *restore* a checkpoint sets state and simulated time. To *resume* from one sets the state alone: simulated
+time continues.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from gear_dynamics_ros.simulation.provenance import Provenance, current_provenan
 from gear_dynamics_ros.system.files import replace_text
 
 FORMAT: Final = 3
-# What decides the future of a state: whole groups but for some of their members.
-_PHYSICS: Final = (
+# Groups of parameters that decide how a state develops, without the exceptions below.
+_PHYSICS_GROUPS: Final = (
     "model",
     "mesh_geometry",
     "mesh_damping",
@@ -33,16 +34,16 @@ _PHYSICS: Final = (
     "operation",
     "solver",
 )
-_NO_PHYSICS: Final = (
-    "operation.command_timeout",  # in wall time, as what follows it
+_EXCEPTIONS: Final = (
+    "operation.command_timeout",  # depends on wall time, and so does the reaction
     "operation.on_timeout",
-    "operation.initial",  # what comes after a reset
+    "operation.initial",  # acts at a reset only
     "solver.chunk",
 )
 
 
 class Checkpoint(NamedTuple):
-    """Everything that decides the future of a run, between two samples."""
+    """Everything that decides how a run continues, taken between two samples."""
 
     sample: int  # index of the next sample
     status: Status
@@ -51,7 +52,7 @@ class Checkpoint(NamedTuple):
     parameters: Parameters  # in force
 
     def to_tree(self) -> dict[str, Any]:
-        """Mappings, lists and numbers that JSON keeps to the bit."""
+        """Content as mappings, lists and numbers, which JSON stores without loss."""
         return {
             "sample": self.sample,
             "status": int(self.status),
@@ -62,14 +63,13 @@ class Checkpoint(NamedTuple):
 
     @classmethod
     def from_tree(cls, tree: Mapping[str, Any]) -> Checkpoint:
-        """Inverse of ``to_tree``; the engine that takes it checks the entries of ``state``.
+        """Inverse of ``to_tree``. The entries of ``state`` are checked later, by the engine.
 
-        Raises GearboxError if an entry is missing or of the wrong type, UsageError on a parameter that can't
-        be.
+        Raises GearboxError if an entry is missing or has the wrong type, UsageError on an invalid parameter.
         """
         try:
             return cls(
-                _count(tree["sample"]),
+                _sample_index(tree["sample"]),
                 Status(tree["status"]),
                 Commands(**{name: float(value) for name, value in _mapping(tree["commands"]).items()}),
                 _mapping(tree["state"]),
@@ -80,11 +80,11 @@ class Checkpoint(NamedTuple):
 
 
 class StoredCheckpoint(NamedTuple):
-    """A checkpoint as it stands in a file or in a recording."""
+    """Content of a checkpoint file, or of an attachment of a recording."""
 
     checkpoint: Checkpoint
     provenance: Provenance  # of the program that wrote it
-    digest: str = ""  # in a recording: SHA-256 of what led to it, hexadecimal; empty elsewhere
+    digest: str = ""  # in a recording: SHA-256 of the messages before it, hexadecimal; else empty
 
     def to_text(self) -> str:
         """JSON text."""
@@ -98,9 +98,9 @@ class StoredCheckpoint(NamedTuple):
 
     @classmethod
     def from_text(cls, text: str, name: str) -> StoredCheckpoint:
-        """Inverse of ``to_text``; ``name`` is what errors call it.
+        """Inverse of ``to_text``; errors refer to the checkpoint by ``name``.
 
-        Raises UsageError if it is no checkpoint of this format.
+        Raises UsageError if ``text`` is not a checkpoint of this format.
         """
         try:
             content = _mapping(json.loads(text))
@@ -118,7 +118,7 @@ class StoredCheckpoint(NamedTuple):
 
 
 def require_place(path: Path) -> None:
-    """Raise UsageError unless a checkpoint can stand at ``path``."""
+    """Raise UsageError if ``path`` is a folder, or lies in a folder that does not exist."""
     if os.path.isdir(path):
         raise UsageError(f"checkpoint.path: '{path}' is a folder: name a file in it")
     if not os.path.isdir(path.parent):
@@ -128,13 +128,13 @@ def require_place(path: Path) -> None:
 
 
 def require_running(checkpoint: Checkpoint) -> None:
-    """Raise GearboxError if the run had ended: nothing can go on from there."""
+    """Raise GearboxError if the run had ended: such a state can't be continued."""
     if checkpoint.status is not Status.RUNNING:
         raise GearboxError("the checkpoint is of a run that had ended: take an earlier one")
 
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
-    """Write ``checkpoint`` to ``path``; an earlier file there is replaced in one moment or stays.
+    """Write ``checkpoint`` to ``path``. An earlier file is replaced at once, or stays if writing fails.
 
     Raises GearboxError if the run has ended or the file can't be written.
     """
@@ -149,9 +149,9 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
 
 
 def load_checkpoint(path: Path) -> StoredCheckpoint:
-    """What the checkpoint file ``path`` holds.
+    """Read the checkpoint file ``path``.
 
-    Raises UsageError if there is none or if it is no checkpoint file, GearboxError if it can't be read.
+    Raises UsageError if it does not exist or is not a checkpoint file, GearboxError if it can't be read.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -165,9 +165,9 @@ def load_checkpoint(path: Path) -> StoredCheckpoint:
 
 
 def require_fitting(stored: StoredCheckpoint, running: Parameters) -> None:
-    """Raise UsageError unless a gearbox with the parameters ``running`` can go on from ``stored``.
+    """Raise UsageError unless a gearbox with the parameters ``running`` can continue from ``stored``.
 
-    It can't under another model, nor where parameters differ that decide the physics and are fixed.
+    It can't if the model differs, or a parameter that decides the physics and is fixed at run time.
     """
     theirs, ours = stored.provenance, current_provenance()
     if theirs.model_hash != ours.model_hash:
@@ -185,10 +185,10 @@ def require_fitting(stored: StoredCheckpoint, running: Parameters) -> None:
 
 
 def continued(stored: StoredCheckpoint, running: Parameters) -> Parameters:
-    """Parameters with which a gearbox that has ``running`` goes on from ``stored``.
+    """Parameters for a gearbox with ``running`` that continues from ``stored``.
 
-    Whatever decides the physics is as it was saved; pacing, timeouts, outputs and files stay. Raises
-    UsageError as ``require_fitting`` does.
+    Parameters that decide the physics are those of ``stored``; pacing, time-outs, outputs and files stay as
+    in ``running``. Raises UsageError as ``require_fitting`` does.
     """
     require_fitting(stored, running)
     saved = stored.checkpoint.parameters.to_flat()
@@ -196,8 +196,8 @@ def continued(stored: StoredCheckpoint, running: Parameters) -> Parameters:
 
 
 def decides_physics(name: str) -> bool:
-    """Whether the parameter ``name`` (dotted) has a part in what follows from a state."""
-    return name.split(".")[0] in _PHYSICS and name not in _NO_PHYSICS
+    """Whether the parameter ``name`` (dotted) influences how a state develops."""
+    return name.split(".")[0] in _PHYSICS_GROUPS and name not in _EXCEPTIONS
 
 
 def _mapping(value: Any) -> dict[str, Any]:
@@ -214,7 +214,7 @@ def _require_format(content: Mapping[str, Any]) -> None:
         )
 
 
-def _count(value: Any) -> int:
+def _sample_index(value: Any) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 1 << 62:
         raise ValueError(f"{value!r:.40} is no index of a sample")
     return value

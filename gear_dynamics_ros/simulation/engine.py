@@ -1,4 +1,4 @@
-"""The engine: state and commands in, chunks of samples out; no clock, no ROS, no file."""
+"""The engine: computes chunks of samples from state and commands; no clock, no ROS, no file."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ IMPACTS_A_CALL = 256
 
 
 class Engine:
-    """One gearbox: advances in chunks; the same bits at any chunk length."""
+    """One gearbox, advanced chunk by chunk. The bits do not depend on the length of the chunks."""
 
     def __init__(self, parameters: Parameters) -> None:
         self.parameters = parameters
         self._excitations = excitation_table(parameters)
         self._constants = kernel_constants(parameters, self._excitations)
         self._interval_ns = parameters.solver.sample_interval_ns
-        wanted = max(COLUMN[name] for name in parameters.waveform_channels)
-        self._columns = len(CHANNELS) if wanted < len(CHANNELS) else len(COLUMN)
-        most_a_sample = IMPACTS_PER_STEP * parameters.solver.steps_per_sample
-        self._impacts = np.empty((most_a_sample + IMPACTS_A_CALL, len(IMPACTS)))
+        last_column = max(COLUMN[name] for name in parameters.waveform_channels)
+        self._columns = len(CHANNELS) if last_column < len(CHANNELS) else len(COLUMN)
+        impacts_per_sample = IMPACTS_PER_STEP * parameters.solver.steps_per_sample
+        self._impacts = np.empty((impacts_per_sample + IMPACTS_A_CALL, len(IMPACTS)))
         self.sample = 0
         self.reset()
 
     def reset(self) -> None:
-        """Back to the start state and the commands of the parameters; time goes on."""
+        """Return to the start state and to the commands of the parameters; simulated time continues."""
         operation = self.parameters.operation
         self.commands = Commands(operation.drive_torque, operation.load_torque, operation.speed)
         self.status = Status.RUNNING
@@ -68,7 +68,7 @@ class Engine:
 
     def command(self, commands: Commands) -> None:
         """Put ``commands`` in force from the next sample on."""
-        # There is but one zero: a -0.0 counts as no change of 0.0, and must make none to the bits either.
+        # -0.0 equals 0.0 and counts as no change, so it must not change any bits either.
         self.commands = commands = Commands(*(value + 0.0 for value in commands))
         self._state["speed"], self._state["load_torque"] = commands.speed, commands.load_torque
         if not self._constants["governed"]:
@@ -77,9 +77,10 @@ class Engine:
     def change(self, change: ParameterChange) -> None:
         """Put the parameters ``change.new`` in force from the next sample on.
 
-        Drive torque, load torque and speed that differ become commands, the others stay in force. The
-        governor takes over and hands over at the drive torque in force. Raises GearboxError, changing
-        nothing, if ``change.old`` is no longer in force: something else changed the parameters meanwhile.
+        Drive torque, load torque and speed become commands where they differ from ``change.old``; the other
+        commands stay in force. The drive torque does not jump when the governor is switched on or off.
+        Raises GearboxError, and changes nothing, if ``change.old`` is no longer in force because something
+        else changed the parameters meanwhile.
         """
         old, new = change.old, change.new
         if old is not self.parameters:
@@ -108,9 +109,9 @@ class Engine:
             self._state["governor"] = min(max(torque, -limit), limit) - new.governor.proportional * error
 
     def advance(self, samples: int | None = None) -> Chunk:
-        """The next ``samples`` samples (default: a chunk); fewer if the run ends in them.
+        """Compute the next ``samples`` samples (default: one chunk); fewer if the run ends before.
 
-        Raises GearboxError if the run has ended already.
+        Raises GearboxError if the run had ended already.
         """
         if self.status is not Status.RUNNING:
             raise GearboxError(f"the run has ended ({self._reason()}); reset it to go on")
@@ -120,7 +121,7 @@ class Engine:
         energies = np.empty((1, len(ENERGIES)))
         impacts = []
         first, written = self.sample, 0
-        # A call ends early, at a sample, where its room for impacts might not suffice.
+        # A call returns early, after a whole sample, if its list of impacts could overflow in the next one.
         while True:
             done, status = entry.integrate(
                 self._constants,
@@ -161,11 +162,11 @@ class Engine:
 
     @property
     def mesh_loss(self) -> float:
-        """Energy that the mesh has lost since the start or the last reset, J, as of the last call."""
+        """Energy lost in the mesh since the start or the last reset, J, as of the last call."""
         return float(self._state["mesh_loss"][0])
 
     def checkpoint(self) -> Checkpoint:
-        """Everything that decides the future, before the next sample."""
+        """Everything that decides how the run continues, taken before the next sample."""
         return Checkpoint(
             sample=self.sample,
             status=self.status,
@@ -175,21 +176,21 @@ class Engine:
         )
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Take the state and the time of ``checkpoint``, whose parameters must be in force here.
+        """Set state and simulated time from ``checkpoint``; its parameters must be in force already.
 
-        Raises GearboxError, changing nothing, if the state can't be one.
+        Raises GearboxError, and changes nothing, if the state of ``checkpoint`` is invalid.
         """
-        self._state = _state(checkpoint)
+        self._state = _kernel_state(checkpoint)
         self.sample, self.status, self.commands = checkpoint.sample, checkpoint.status, checkpoint.commands
 
     def resume(self, checkpoint: Checkpoint) -> None:
-        """Take the state of ``checkpoint`` alone: simulated time goes on, and so do the parameters in force.
+        """Set the state alone from ``checkpoint``: simulated time continues, the parameters in force stay.
 
-        Everything comes out as after ``restore``, at other times. Raises GearboxError, changing nothing, if
-        the state can't be one, or is of a run that had ended.
+        The results are those after ``restore``, at other times. Raises GearboxError, and changes nothing, if
+        the state of ``checkpoint`` is invalid or its run had ended.
         """
         require_resumable(checkpoint)
-        state = _state(checkpoint)
+        state = _kernel_state(checkpoint)
         state["impact_time"] += (self.sample - checkpoint.sample) * self._interval_ns / 1e9
         self._state, self.status, self.commands = state, checkpoint.status, checkpoint.commands
 
@@ -213,13 +214,14 @@ class Engine:
 def require_resumable(checkpoint: Checkpoint) -> None:
     """Raise GearboxError where ``Engine.resume`` would."""
     require_running(checkpoint)
-    _state(checkpoint)
+    _kernel_state(checkpoint)
 
 
 _STATE_NAMES = STATE.names or ()
 
 
-def _state(checkpoint: Checkpoint) -> NDArray[Any]:
+def _kernel_state(checkpoint: Checkpoint) -> NDArray[Any]:
+    """Array (1,) of STATE. Raises GearboxError if an entry is missing or has the wrong type or shape."""
     state = aligned_zeros((1,), STATE)
     try:
         for name in _STATE_NAMES:

@@ -1,4 +1,7 @@
-"""What made a run besides its parameters: two runs can differ in their bits only where this differs."""
+"""Program and machine that computed a run.
+
+Two runs with the same parameters, commands and start can differ in their bits only if this differs.
+"""
 
 from __future__ import annotations
 
@@ -13,25 +16,25 @@ from gear_dynamics_ros import __version__
 from gear_dynamics_ros.physics.kernel.sources import hash_of_files, kernel_hash
 
 PACKAGE = Path(gear_dynamics_ros.__file__).parent
-# Every source file that decides the bits: from parameters to constants, the kernel, and who calls it.
+# Every source file that decides the bits: constants from parameters, the kernel, and its caller.
 MODEL_SOURCES = ("physics/**/*.py", "simulation/engine.py")
 
 
 class Provenance(NamedTuple):
-    """Program and machine. A text is empty where a recording does not say."""
+    """Program and machine. A text is empty if a recording does not have it."""
 
     version: str  # of this package
     kernel_hash: str  # SHA-256 of the source of physics/kernel
-    model_hash: str  # SHA-256 of the source of all that decides the bits
-    processor: str  # name, and what of it the compiler uses
+    model_hash: str  # SHA-256 of all source files that decide the bits
+    processor: str  # its name, and the features that the compiler uses
     compiler: str
-    libraries: str  # those that compute: numpy, scipy (makes the damping factor), libc
+    libraries: str  # that compute: numpy, scipy (for the damping factor), libc
 
 
 @cache
 def current_provenance() -> Provenance:
-    """Of this process."""
-    # Loaded here: who only reads a recording need not wait for the compiler.
+    """Provenance of this process."""
+    # Imported here, so that programs that only read recordings need not wait for the compiler.
     import numba
     import numpy as np
     import scipy
@@ -58,7 +61,7 @@ def model_hash() -> str:
 
 
 def processor_name() -> str:
-    """Name of the processor, as far as the system tells."""
+    """Name of the processor, as the system reports it."""
     try:
         text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
     except OSError:
@@ -70,7 +73,7 @@ def processor_name() -> str:
 
 
 def provenance_differences(recorded: Provenance) -> list[str]:
-    """What of the program or the machine differs from this process, a line each."""
+    """The fields of ``recorded`` that differ from this process, as one line each."""
     return [
         f"{name.replace('_', ' ')}: recorded by {theirs or 'one that did not say'}, this is {ours}"
         for name, theirs, ours in zip(Provenance._fields, recorded, current_provenance(), strict=True)

@@ -1,6 +1,6 @@
-"""The loop that node and tools share: commands in, a chunk out, and every chunk to the same sinks.
+"""The loop that the node and all tools share: take commands, compute a chunk, give it to the sinks.
 
-No clock and no threads: the same parameters and the same calls give the same records, whoever sets the pace.
+No clock and no threads: the same parameters and the same calls give the same records at any pace.
 """
 
 from __future__ import annotations
@@ -31,15 +31,16 @@ from gear_dynamics_ros.simulation.sinks import Sink
 
 
 def commands_of_timeout(operation: OperationParameters) -> Mapping[str, float]:
-    """Fields of Commands, with their values, that a time-out puts in force: none where it holds them."""
+    """Commands that a time-out puts in force, by field of Commands; empty if it holds the last ones."""
     return {"drive_torque": 0.0, "load_torque": 0.0} if operation.on_timeout == "release" else {}
 
 
 class Run:
-    """One engine, its state, its messages and the sinks they go to.
+    """One engine, its state, its messages, and the sinks that receive them.
 
-    The commands in force are written before the first chunk, whenever they change, and to each sink attached
-    later, stamped at the sample where they take effect. ``duration`` is simulated time in s, 0 for no end.
+    The commands in force are written before the first chunk, after every change, and to each sink that is
+    attached later. Their stamp is the sample from which they act. ``duration`` is simulated time in s; 0
+    means without end.
     """
 
     def __init__(
@@ -50,73 +51,75 @@ class Run:
         self._sinks = list(sinks)
         self._newcomers: list[Sink] = []
         self._begun = False
-        self._applied: Commands | None = None  # commands last written, unless others came in force since
-        self._last_sample = _samples(duration, engine.parameters.solver.sample_interval_ns)
+        self._applied: Commands | None = None  # commands last written; None if others are in force since
+        self._end_sample = _sample_count(duration, engine.parameters.solver.sample_interval_ns)
         self._state = RunState()
 
     @property
     def state(self) -> RunState:
-        """Whether the run goes on, is paused or has ended, and why it ended. For any thread."""
+        """Whether the run is running, paused or ended, and why it ended. For any thread."""
         return self._state
 
     def step(self, commands: Commands | None = None, received: Sequence[tuple[str, bytes]] = ()) -> Chunk:
-        """The next chunk, with ``commands`` in force from its first sample on; at the end a shorter one.
+        """Compute the next chunk, with ``commands`` in force from its first sample; the last may be shorter.
 
-        ``received`` are the messages (key in TOPICS, CDR) behind ``commands``; they are written as they came,
-        before the change they caused. Raises GearboxError if the run has ended.
+        ``received`` are the messages (key in TOPICS, CDR) that set ``commands``. They are written unchanged,
+        before the change that they caused. Raises GearboxError if the run has ended.
         """
         self.require_not_ended()
         if commands is not None:
             self.engine.command(commands)
-        heading, welcome = self._heading(received)
+        heading, for_newcomers = self._heading(received)
         chunk = self.engine.advance(self._chunk_samples())
         records = [*heading, *self._encoder.chunk(chunk)]
         newcomers, self._newcomers = self._newcomers, []
         _each(
             self._sinks,
-            lambda sink: sink.write(chunk, [*welcome, *records] if sink in newcomers else records),
+            lambda sink: sink.write(chunk, [*for_newcomers, *records] if sink in newcomers else records),
         )
         if chunk.status is not Status.RUNNING:
             self._end(Ending.TRIPPED, chunk.message)
-        elif self._last_sample is not None and self.engine.sample >= self._last_sample:
+        elif self._end_sample is not None and self.engine.sample >= self._end_sample:
             self._end(Ending.COMPLETED, "pacing.duration reached")
         return chunk
 
     def pause(self) -> bool:
-        """Let simulated time stand still on request; returns False if it does already.
+        """Stop simulated time; returns False if the run was paused already.
 
         Raises GearboxError if the run has ended.
         """
         return self._set_paused(paused=True)
 
     def unpause(self) -> bool:
-        """Let simulated time go on; returns False if it does already. Raises GearboxError as ``pause``."""
+        """Continue after a pause; returns False if the run was not paused.
+
+        Raises GearboxError if the run has ended.
+        """
         return self._set_paused(paused=False)
 
     def reset(self, message: str = "") -> None:
-        """Back to the start state and the commands of the parameters; simulated time goes on."""
+        """Return to the start state and to the commands of the parameters; simulated time continues."""
         self.engine.reset()
         self._start_again(RESET, message)
 
     def resume(self, checkpoint: Checkpoint, message: str = "") -> None:
-        """Go on from the state of ``checkpoint`` while simulated time goes on, as ``Engine.resume`` does.
+        """Continue from the state of ``checkpoint``, as ``Engine.resume``; simulated time continues.
 
-        Writes an event ``restore``, as operators know it, with the whole checkpoint.
-
-        Raises GearboxError, changing nothing, if it can't be one, or is of a run that had ended.
+        Writes an event ``restore``, the name of the service, with the whole checkpoint. Raises GearboxError,
+        and changes nothing, if the checkpoint is invalid or its run had ended.
         """
         self.engine.resume(checkpoint)
         self._start_again(RESTORE, message, checkpoint=checkpoint.to_tree())
 
     @property
     def unreleased(self) -> bool:
-        """Whether torques are in force that a time-out would release."""
+        """Whether a time-out would change the torques in force."""
         in_force = self.engine.commands
         released = commands_of_timeout(self.engine.parameters.operation)
         return any(getattr(in_force, name) != value for name, value in released.items())
 
     def time_out(self) -> None:
-        """Write that no command came in time; release the torques where operation.on_timeout says so."""
+        """Write an event ``timeout``; release the torques if ``operation.on_timeout`` is ``release``."""
         operation = self.engine.parameters.operation
         released = commands_of_timeout(operation)
         if released:
@@ -129,7 +132,7 @@ class Run:
     def change(self, change: ParameterChange) -> None:
         """Put ``change`` in force from the next sample on, as ``Engine.change`` does.
 
-        Writes an event with the values that differ, and none if nothing does. Raises GearboxError as
+        Writes an event with the values that differ, or none if all are equal. Raises GearboxError as
         ``Engine.change`` does.
         """
         if change.values:
@@ -138,11 +141,11 @@ class Run:
             self.write_event(CHANGE, parameters=change.values)
 
     def finish(self, reason: str) -> None:
-        """End the run on request, once; sinks stay open for what is still to come."""
+        """End the run on request, unless it has ended. The sinks stay open for later messages."""
         self._end(Ending.STOPPED, reason)
 
     def fail(self, reason: str) -> None:
-        """End the run because of an error, which replaces the reason if the run has ended already."""
+        """End the run because of an error. ``reason`` replaces that of an earlier end."""
         if self._state.ending is not Ending.FAILED:
             ended = self._state.ended
             self._state = self._state._replace(ending=Ending.FAILED, reason=reason)
@@ -155,7 +158,7 @@ class Run:
             raise GearboxError(f"the run has ended ({self._state.reason}): call ~/reset first")
 
     def write_event(self, kind: str, message: str = "", **details: Mapping[str, Any]) -> None:
-        """Write an operator event that happens before the next sample, with entries of its own."""
+        """Write an operator event before the next sample; ``details`` are entries of its kind."""
         engine = self.engine
         self.write_records([self._encoder.event(kind, engine.sample, message, engine.counters, **details)])
 
@@ -164,27 +167,27 @@ class Run:
         _each(self._sinks, lambda sink: sink.write(None, records))
 
     def attach(self, sink: Sink) -> None:
-        """Let ``sink`` have everything from the next chunk on."""
+        """Give everything from the next chunk on to ``sink`` too."""
         self._sinks.append(sink)
         self._newcomers.append(sink)
 
     def detach(self, sink: Sink) -> None:
-        """Let ``sink`` have no more; the caller closes it."""
+        """Give no more to ``sink``; the caller closes it."""
         self._sinks.remove(sink)
         if sink in self._newcomers:
             self._newcomers.remove(sink)
 
     def checkpoint(self) -> Checkpoint:
-        """State before the next sample."""
+        """Checkpoint before the next sample."""
         return self.engine.checkpoint()
 
     def close(self) -> None:
-        """Close all sinks, even if one of them fails; raises the first failure."""
+        """Close all sinks, even if one of them fails. Raises the first failure."""
         sinks, self._sinks = self._sinks, []
         _each(reversed(sinks), lambda sink: sink.close())
 
     def _heading(self, received: Sequence[tuple[str, bytes]]) -> tuple[list[Record], list[Record]]:
-        """What is written before the next chunk, and what newcomers need besides."""
+        """Records to write before the next chunk, and further ones for sinks that have just been attached."""
         heading: list[Record] = []
         if not self._begun:
             self._begun = True
@@ -213,25 +216,25 @@ class Run:
         return True
 
     def _start_again(self, kind: str, message: str, **details: Mapping[str, Any]) -> None:
-        """Go on, also after an end, in the state that the engine was put in."""
+        """Continue from a new state of the engine, also if the run had ended."""
         self._state = RunState(paused=self._state.paused)
         self._forget_applied()
         self.write_event(kind, message, **details)
 
     def _forget_applied(self) -> None:
-        """What else than a command put commands in force: a command of the old values is a change again."""
+        """Something else than a command changed the commands in force: write them again at the next chunk."""
         if self._applied != self.engine.commands:
             self._applied = None
 
     def _chunk_samples(self) -> int:
         whole = self.engine.parameters.solver.samples_per_chunk
-        if self._last_sample is None:
+        if self._end_sample is None:
             return whole
-        return min(whole, self._last_sample - self.engine.sample)
+        return min(whole, self._end_sample - self.engine.sample)
 
 
 def _each(sinks: Iterable[Sink], act: Callable[[Sink], None]) -> None:
-    """Do ``act`` for every sink, even if it fails for one; raises the first failure."""
+    """Call ``act`` for every sink, even if it fails for one. Raises the first failure."""
     failures: list[Exception] = []
     for sink in sinks:
         try:
@@ -242,9 +245,9 @@ def _each(sinks: Iterable[Sink], act: Callable[[Sink], None]) -> None:
         raise failures[0]
 
 
-def _samples(duration: float, interval_ns: int) -> int | None:
-    """Samples in ``duration``, the last one begun included; None for a run without end."""
+def _sample_count(duration: float, interval_ns: int) -> int | None:
+    """Samples in ``duration`` s, rounded up; None for a run without end."""
     if duration == 0.0:
         return None
-    # The decimal that the user typed, not the binary fraction beside it, decides how many samples fit.
+    # The number of samples follows from the decimal that the user typed, not from its rounded binary value.
     return math.ceil(Fraction(repr(duration)) * 10**9 / interval_ns)

@@ -11,28 +11,28 @@ class Ending(Enum):
 
     COMPLETED = "completed"  # pacing.duration has been simulated
     STOPPED = "stopped"  # on request
-    TRIPPED = "tripped"  # by the engine: over-speed, a state that is not finite, centres pressed together
-    FAILED = "failed"  # by an error of a sink, or by an overrun that pacing.on_overrun makes one
+    TRIPPED = "tripped"  # by the model: over-speed, a state that is not finite, centres pressed together
+    FAILED = "failed"  # by an error of a sink, or by an overrun with pacing.on_overrun: error
 
 
 class RunState(NamedTuple):
     """State of a run. ``Run`` replaces it as a whole, so any thread may read it.
 
-    A run that is paused and ends while it is stepped is paused again after a reset.
+    A run that ends while it is paused and stepped is paused again after a reset.
     """
 
     paused: bool = False
     ending: Ending | None = None
-    reason: str = ""  # of the end, for the operator; empty while the run goes on
+    reason: str = ""  # of the end, for the operator; empty if the run has not ended
 
     @property
     def ended(self) -> bool:
-        """Whether no chunk can be made before a reset or a restored checkpoint."""
+        """Whether the run needs a reset, or a restored checkpoint, before its next chunk."""
         return self.ending is not None
 
     @property
     def completed(self) -> bool:
-        """Whether ``pacing.duration`` has been simulated, and nothing failed."""
+        """Whether ``pacing.duration`` has been simulated without a failure."""
         return self.ending is Ending.COMPLETED
 
     @property

@@ -1,4 +1,4 @@
-"""Where the chunks and messages of a run go."""
+"""Sinks: receivers of the chunks and messages of a run."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from gear_dynamics_ros.messages.encoder import Record
 
 
 class Sink(Protocol):
-    """Takes what a run makes; owns what it keeps."""
+    """Receives the output of a run; owns what it keeps."""
 
     def write(self, chunk: Chunk | None, records: Sequence[Record]) -> None:
-        """Messages in order of time, and the chunk they came from; no chunk for what happens between two."""
+        """Take messages in order of time, and their chunk; None for messages between two chunks."""
 
     def close(self) -> None:
-        """Finish; nothing is written afterwards."""
+        """Finish. No ``write`` follows."""
 
 
 class ChunkWriter(Protocol):
-    """What ``ViewerSink`` needs of a viewer."""
+    """The methods of a viewer that ``ViewerSink`` calls."""
 
     def write(self, chunk: Chunk) -> None: ...
 
@@ -28,7 +28,7 @@ class ChunkWriter(Protocol):
 
 
 class ViewerSink:
-    """Gives a viewer the chunks of a run."""
+    """Gives the chunks of a run to a viewer."""
 
     def __init__(self, viewer: ChunkWriter) -> None:
         self._viewer = viewer
