@@ -144,7 +144,10 @@ def waveform_samples(message: Any) -> tuple[tuple[str, ...], NDArray[np.float64]
 
 
 def applied_commands(message: Any) -> Commands:
-    """Commands in force of an ``applied_command`` message. Raises GearboxError if one is missing or not finite."""
+    """Commands in force of an ``applied_command`` message.
+
+    Raises GearboxError if one of them is missing or not finite.
+    """
     if len(message.effort) != 2 or len(message.velocity) != 2:
         raise GearboxError(
             f"it has {len(message.effort)} efforts and {len(message.velocity)} velocities, "

@@ -26,21 +26,21 @@ ROSBAG2_KEY: Final = "serialized_metadata"
 INFORMATION: Final = "rosbag2_bagfile_information"  # root of metadata.yaml
 FILES: Final = "relative_file_paths"
 ROS_DISTRO: Final = "jazzy"
-# Without these nothing could be run again.
+# A re-simulation needs these.
 ALWAYS_RECORDED: Final = ("applied_command", "event")
 
 _CHECKPOINT = re.compile(r"checkpoint_(\d+)\.json")
-# The same text in a quarter of the time, which the recorder takes from the engine at every split.
+# The C version needs a quarter of the time for the same text; the engine waits for it at every split.
 _DUMPER = yaml.CSafeDumper if yaml.__with_libyaml__ else yaml.SafeDumper
 
 
 class PartSummary(NamedTuple):
-    """One MCAP file of a recording: its messages on each topic (full name), and from when to when."""
+    """One MCAP file of a recording: its name, stamps and number of messages."""
 
     name: str
-    start_ns: int
-    end_ns: int
-    counts: Mapping[str, int]
+    start_ns: int  # stamp of the first message
+    end_ns: int  # stamp of the last message
+    counts: Mapping[str, int]  # messages by full name of the topic
 
     @property
     def messages(self) -> int:
@@ -49,26 +49,26 @@ class PartSummary(NamedTuple):
 
 
 class RunMetadata(NamedTuple):
-    """What the MCAP metadata record RUN_METADATA holds."""
+    """Content of the MCAP metadata record RUN_METADATA."""
 
     provenance: Provenance
-    epoch_ns: int
-    node: str
+    epoch_ns: int  # stamp of simulated time 0
+    node: str  # full name
     sample_interval_ns: int
 
     def to_text(self) -> dict[str, str]:
-        """Values as the text that MCAP stores, those of the provenance first."""
+        """All values as text, as MCAP stores them, those of the provenance first."""
         own = self._asdict()
         values = own.pop("provenance")._asdict() | own
         return {name: str(value) for name, value in values.items()}
 
     def to_lines(self) -> bytes:
-        """The same as lines ``name=value``, in this order."""
+        """The same as lines ``name=value`` in the same order."""
         return "".join(f"{name}={value}\n" for name, value in self.to_text().items()).encode()
 
     @classmethod
     def from_text(cls, values: Mapping[str, str]) -> RunMetadata:
-        """Inverse of ``to_text``. Raises KeyError or ValueError on a missing or spoilt entry."""
+        """Inverse of ``to_text``. Raises KeyError on a missing entry, ValueError on an invalid one."""
         if int(values["sample_interval_ns"]) <= 0:
             raise ValueError("sample_interval_ns must be positive")
         return cls(
@@ -87,9 +87,9 @@ class RunMetadata(NamedTuple):
 
 
 def recorded_topics(parameters: Parameters, node: str) -> dict[str, tuple[str, Topic]]:
-    """Full name and topic, by key in TOPICS, of each that is recorded."""
-    wanted = {*parameters.recording.topics, *ALWAYS_RECORDED}
-    return {key: (resolve(topic, node), topic) for key, topic in TOPICS.items() if key in wanted}
+    """The topics to record, with their full names, by key in TOPICS."""
+    keys = {*parameters.recording.topics, *ALWAYS_RECORDED}
+    return {key: (resolve(topic, node), topic) for key, topic in TOPICS.items() if key in keys}
 
 
 def part_name(folder: Path, number: int) -> str:
@@ -104,19 +104,19 @@ def part_number(path: Path) -> int:
 
 
 def checkpoint_name(sample: int) -> str:
-    """Name of the attachment with the state before ``sample``."""
+    """Name of the attachment with the checkpoint before ``sample``."""
     return f"checkpoint_{sample}.json"
 
 
 def checkpoint_sample(name: str) -> int | None:
     """Inverse of ``checkpoint_name``; None for another attachment."""
-    found = _CHECKPOINT.fullmatch(name)
-    return int(found[1]) if found else None
+    match = _CHECKPOINT.fullmatch(name)
+    return int(match[1]) if match else None
 
 
 @cache
 def schema(type_name: str) -> bytes:
-    """ros2msg schema: the message's text, then that of each type it depends on."""
+    """ros2msg schema: the definition of the message, then that of each type it depends on."""
     return TYPESTORE.generate_msgdef(type_name, ros_version=2)[0].encode()
 
 
@@ -127,7 +127,7 @@ def type_hash(type_name: str) -> str:
 
 
 def qos(topic: Topic) -> list[dict[str, Any]]:
-    """Offered quality of service as metadata version 9 spells it."""
+    """Offered quality of service in the form of metadata version 9."""
     return [
         {
             "history": "keep_last",
@@ -151,22 +151,22 @@ class Definitions(NamedTuple):
 
 
 def channel_definitions(topics: Iterable[tuple[str, Topic]]) -> Definitions:
-    """Of topics with full names: channels are numbered from 1 in their order."""
-    found = Definitions({}, {})
-    numbers: dict[str, int] = {}  # of schemas
+    """Definitions for ``topics`` with their full names; channels are numbered from 1 in this order."""
+    definitions = Definitions({}, {})
+    schema_ids: dict[str, int] = {}  # by type
     for number, (name, topic) in enumerate(topics, start=1):
-        schema_id = numbers.setdefault(topic.type, len(numbers) + 1)
-        found.schemas[schema_id] = Schema(
+        schema_id = schema_ids.setdefault(topic.type, len(schema_ids) + 1)
+        definitions.schemas[schema_id] = Schema(
             data=schema(topic.type), encoding="ros2msg", id=schema_id, name=topic.type
         )
-        found.channels[number] = Channel(
+        definitions.channels[number] = Channel(
             id=number,
             topic=name,
             message_encoding="cdr",
             metadata=channel_metadata(topic),
             schema_id=schema_id,
         )
-    return found
+    return definitions
 
 
 def channel_metadata(topic: Topic) -> dict[str, str]:
@@ -175,7 +175,7 @@ def channel_metadata(topic: Topic) -> dict[str, str]:
 
 
 def bag_information(topics: Mapping[str, Topic], parts: Sequence[PartSummary]) -> dict[str, Any]:
-    """Body of metadata.yaml for ``topics`` (full name -> topic) and parts."""
+    """Content of metadata.yaml for ``topics`` (by full name) and ``parts``."""
     filled = [part for part in parts if part.messages]
     start_ns = min((part.start_ns for part in filled), default=0)
     end_ns = max((part.end_ns for part in filled), default=0)
@@ -219,7 +219,7 @@ def metadata_yaml(topics: Mapping[str, Topic], parts: Sequence[PartSummary]) -> 
 
 
 def embedded_metadata(topics: Mapping[str, Topic], part: PartSummary) -> dict[str, str]:
-    """The same about one part alone, for the MCAP metadata record ROSBAG2_METADATA."""
+    """Content of the MCAP metadata record ROSBAG2_METADATA: metadata.yaml of ``part`` alone."""
     return {ROSBAG2_KEY: yaml_text(bag_information(topics, [part]))}
 
 
@@ -229,7 +229,7 @@ def yaml_text(value: Any) -> str:
 
 
 def _infinite() -> dict[str, int]:
-    # a new one each time: PyYAML writes an anchor where one object occurs twice
+    # A new object each time: PyYAML writes an anchor if one object occurs twice.
     return dict(zip(("sec", "nsec"), divmod(2**63 - 1, 10**9), strict=True))
 
 

@@ -1,4 +1,4 @@
-"""Simulates into a recording: without ROS, without a clock, as fast as possible."""
+"""Simulates and records, without ROS and without a clock, as fast as possible."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.simulation.run_state import Ending
 
-EPOCH_NS: Final = 0  # there is no ROS time: stamps are simulated time
+EPOCH_NS: Final = 0  # without ROS time, stamps are simulated time
 
 
 class SimulationOutcome(NamedTuple):
-    """What a simulation did."""
+    """Result of a simulation."""
 
     samples: int
     duration: float  # simulated time, s
-    real_time_factor: float  # recording included, without the first chunk, which opens the files
+    real_time_factor: float  # with recording, but without the first chunk, which opens the files
     end: str  # why the run ended
     tripped: bool  # the model itself ended the run
 
 
 class StrictRecorderSink(RecorderSink):
-    """A recorder whose failure ends the run: without the recording there is no point in going on."""
+    """A recorder whose failure ends the run, because the recording is its only result."""
 
     def write(self, chunk: Chunk | None, records: Sequence[Record]) -> None:
         """Record the messages. Raises GearboxError once recording has failed."""
@@ -50,9 +50,9 @@ class StrictRecorderSink(RecorderSink):
 
 
 def engine_from_checkpoint(stored: StoredCheckpoint, parameters: Parameters) -> Engine:
-    """Engine in the state of ``stored`` at time 0, from which on ``parameters`` are in force.
+    """Engine at simulated time 0 in the state of ``stored``, with ``parameters`` in force.
 
-    Raises UsageError if they don't fit the state, GearboxError if the state is damaged.
+    Raises UsageError if ``parameters`` don't fit the state, GearboxError if the state is invalid.
     """
     engine = Engine(continued(stored, parameters))
     engine.resume(stored.checkpoint)
@@ -69,9 +69,9 @@ def simulate_to_recording(
 ) -> SimulationOutcome:
     """Run ``engine`` for ``duration`` s of simulated time and record it in the new folder ``output``.
 
-    ``progress`` is called with the number of samples done. The run ends early, with the text that
-    ``interruption`` returns as reason, as soon as that is not empty. Raises UsageError if ``output`` exists
-    or can't be made, GearboxError if recording fails.
+    ``progress`` is called with the number of samples computed. The run ends early as soon as ``interruption``
+    returns a text that is not empty, which is then the reason. Raises UsageError if ``output`` exists or
+    can't be created, GearboxError if recording fails.
     """
     parameters = engine.parameters
     recorder = Recorder(output, engine.checkpoint(), EPOCH_NS)

@@ -1,4 +1,4 @@
-"""The MCAP files of a recording: what each starts from, and its messages one by one."""
+"""The parts of a recording, one MCAP file each: start, checkpoints and messages."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from gear_dynamics_ros.simulation.checkpoint import StoredCheckpoint
 
 
 class StoredMessage(NamedTuple):
-    """A message as it stands in a file."""
+    """A message of a file."""
 
     topic: str
     time_ns: int
@@ -33,85 +33,92 @@ class PartFile:
 
     path: Path
     run: RunMetadata
-    parameters: str  # those in force at the start, as ``parameters.dump`` writes them
-    start: StoredCheckpoint  # from which the part starts
+    parameters: str  # in force at the start, as ``dump_parameters`` writes them
+    start: StoredCheckpoint  # before the first sample
     size: int  # bytes
     index: FileIndex
 
     @property
     def complete(self) -> bool:
-        """Whether the file was finished; False after a crash."""
+        """Whether the file has its index; False after a crash."""
         return self.index.complete
 
     @property
     def first_sample(self) -> int:
-        """Sample before which the part starts."""
+        """Index of the first sample of the part."""
         return self.start.checkpoint.sample
 
     @property
     def end(self) -> str:
-        """Name of the attachment with the state in which the part ended; empty if there is none."""
+        """Name of the attachment with the checkpoint at the end of the part; empty if there is none."""
         names = [entry.name for entry in self.index.attachments if entry.name == layout.END_ATTACHMENT]
         return names[-1] if names else ""
 
     @property
     def checkpoints(self) -> dict[int, str]:
-        """Names of the attachments with states behind the start, by sample, in order."""
+        """Names of the attachments with checkpoints after the start, by sample, in order."""
         numbered = [(layout.checkpoint_sample(entry.name), entry.name) for entry in self.index.attachments]
         return dict(sorted((sample, name) for sample, name in numbered if sample is not None))
 
     def attachment(self, name: str) -> bytes:
-        """Content of an attachment. Raises GearboxError if it can't be read."""
+        """Content of the attachment ``name``.
+
+        Raises GearboxError if it can't be read, KeyError if it is missing.
+        """
         with reading(self.path) as stream:
             return read_attachment(stream, _index(self.index, name))
 
     def stored(self, name: str) -> StoredCheckpoint:
-        """Checkpoint in an attachment. Raises GearboxError if it can't be read or is none."""
+        """Checkpoint in the attachment ``name``. Raises GearboxError if it can't be read or is invalid."""
         return _stored(self.attachment(name), f"{self.path.name}: {name}")
 
     def messages(self, topics: Collection[str], from_ns: int | None = None) -> Iterator[StoredMessage]:
-        """Messages of topics (full names) in their order, those before ``from_ns`` left out.
+        """Messages on ``topics`` (full names) in the order of the file, from the stamp ``from_ns`` on.
 
-        Holds one chunk of the file at a time. Raises GearboxError where a chunk is spoilt.
+        Holds one chunk of the file at a time. Raises GearboxError at a damaged chunk.
         """
-        wanted = self._channels(topics)
+        channels = self._channels(topics)
         with reading(self.path) as stream:
             for index in self.index.chunks:
-                if wanted.keys().isdisjoint(index.message_index_offsets):
+                if channels.keys().isdisjoint(index.message_index_offsets):
                     continue
                 if from_ns is not None and index.message_end_time < from_ns:
                     continue
-                for channel, time_ns, data in read_chunk(stream, index).messages(wanted):
+                for channel, time_ns, data in read_chunk(stream, index).messages(channels):
                     if from_ns is None or time_ns >= from_ns:
-                        yield StoredMessage(wanted[channel], time_ns, data)
+                        yield StoredMessage(channels[channel], time_ns, data)
 
     def last_message(self, topic: str) -> StoredMessage | None:
-        """The last message of a topic."""
-        wanted = self._channels([topic])
+        """The last message on ``topic`` (full name), None if there is none.
+
+        Raises GearboxError if its chunk is damaged.
+        """
+        channels = self._channels([topic])
         with reading(self.path) as stream:
             for index in reversed(self.index.chunks):
-                if not wanted.keys().isdisjoint(index.message_index_offsets):
-                    *_, (channel, time_ns, data) = read_chunk(stream, index).messages(wanted)
-                    return StoredMessage(wanted[channel], time_ns, data)
+                if not channels.keys().isdisjoint(index.message_index_offsets):
+                    *_, (channel, time_ns, data) = read_chunk(stream, index).messages(channels)
+                    return StoredMessage(channels[channel], time_ns, data)
         return None
 
     def _channels(self, topics: Collection[str]) -> dict[int, str]:
+        """Topics by number of their channels."""
         channels = self.index.channels.items()
         return {number: channel.topic for number, channel in channels if channel.topic in topics}
 
 
 def open_parts(path: Path) -> tuple[PartFile, ...]:
-    """The files of the recording at ``path``, a rosbag2 folder or one MCAP file, in order.
+    """The parts of the recording at ``path``, a rosbag2 folder or one MCAP file, in order.
 
-    Raises UsageError if there is none, GearboxError if one wasn't written by this package or is spoilt.
+    Raises UsageError if there is none, GearboxError if one was not recorded by this package or is damaged.
     """
     files = part_files(path)
     parts = [_open_part(file) for file in files[:-1]]
     try:
         parts.append(_open_part(files[-1]))
     except GearboxError:
-        # A crash right after a split leaves a last file without even its start.
-        if not (parts and _unbegun(files[-1])):
+        # After a crash right after a split the last file may lack its start.
+        if not (parts and _without_messages(files[-1])):
             raise
     return tuple(parts)
 
@@ -130,7 +137,7 @@ def part_files(path: Path) -> Sequence[Path]:
 
 @contextmanager
 def reading(path: Path) -> Iterator[BinaryIO]:
-    """The file open for reading. Raises GearboxError if it can't be."""
+    """The file ``path``, open for reading. Raises GearboxError if it can't be opened."""
     try:
         stream = path.open("rb")
     except OSError as error:
@@ -164,8 +171,8 @@ def _stored(content: bytes, name: str) -> StoredCheckpoint:
         raise GearboxError(str(error)) from error
 
 
-def _unbegun(path: Path) -> bool:
-    """Whether a file broke off before its first message."""
+def _without_messages(path: Path) -> bool:
+    """Whether the file broke off before its first message."""
     with reading(path) as stream:
         begin = first_bytes(stream)
         if begin != MCAP0_MAGIC:
@@ -174,6 +181,7 @@ def _unbegun(path: Path) -> bool:
 
 
 def _index(index: FileIndex, name: str) -> AttachmentIndex:
+    """Index of the attachment ``name``. Raises KeyError if it is missing."""
     try:
         return next(entry for entry in index.attachments if entry.name == name)
     except StopIteration:

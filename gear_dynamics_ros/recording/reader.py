@@ -1,4 +1,4 @@
-"""Reads recordings, whole or broken off, without ever holding more than a piece of them."""
+"""Reads recordings, complete or broken off, block by block."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ IMPACT: Final = np.dtype([(entry.name, "<f8") for entry in IMPACTS])  # one bear
 
 
 class TopicCount(NamedTuple):
-    """A topic of a recording (full name) and how many messages it holds."""
+    """A topic of a recording (full name) and the number of its messages."""
 
     name: str
     type: str
@@ -36,26 +36,26 @@ class TopicCount(NamedTuple):
 
 
 class Recording:
-    """A recording, folder or single MCAP file; ``open`` makes it.
+    """A recording, a folder or a single MCAP file. Use ``open`` to open one.
 
-    Samples are counted from the start of the run; a part of a run begins at ``first_sample``. Times are
-    simulated, in s. Several threads may read at once.
+    Samples are counted from the start of the run; the recording holds ``first_sample`` to before
+    ``end_sample``. Times are simulated, in s. Several threads may read at once.
     """
 
     def __init__(self, path: Path, parts: tuple[PartFile, ...], parameters: Parameters) -> None:
-        """Read where the waveform begins and ends. Raises GearboxError where that is spoilt."""
+        """Read the first and the last sample of the waveform. Raises GearboxError if these are damaged."""
         self.path = path
         self.parts = parts
         self.parameters = parameters
         self.run = parts[0].run
-        self.topic_names = {
-            key: resolve(topic, self.run.node) for key, topic in TOPICS.items()
-        }  # of topics, in full
-        self.first_sample, self.end_sample = self._find_samples()  # of the waveform: to before the last
+        # Full names by key in TOPICS.
+        self.topic_names = {key: resolve(topic, self.run.node) for key, topic in TOPICS.items()}
+        # The waveform holds the samples from the first to before the second.
+        self.first_sample, self.end_sample = self._find_samples()
 
     @property
     def epoch_ns(self) -> int:
-        """Stamp of simulated time 0."""
+        """Stamp of simulated time 0, ns."""
         return self.run.epoch_ns
 
     @property
@@ -75,23 +75,23 @@ class Recording:
 
     @property
     def sample_interval_ns(self) -> int:
-        """Simulated time between two samples."""
+        """Simulated time between two samples, ns."""
         return self.run.sample_interval_ns
 
     @property
     def start(self) -> Checkpoint:
-        """Checkpoint from which the recording starts."""
+        """Checkpoint before the first sample."""
         return self.parts[0].start.checkpoint
 
     @property
     def complete(self) -> bool:
-        """Whether every file, and metadata.yaml beside them, was finished."""
-        described = self.path.is_file() or (self.path / layout.METADATA_FILE).is_file()
-        return described and all(part.complete for part in self.parts)
+        """Whether every part was finished, and metadata.yaml exists if it is a folder."""
+        has_metadata = self.path.is_file() or (self.path / layout.METADATA_FILE).is_file()
+        return has_metadata and all(part.complete for part in self.parts)
 
     @property
     def size(self) -> int:
-        """Bytes of all parts."""
+        """Size of all parts, bytes."""
         return sum(part.size for part in self.parts)
 
     @property
@@ -108,7 +108,7 @@ class Recording:
 
     @property
     def recorded(self) -> frozenset[str]:
-        """Keys in TOPICS of what was recorded."""
+        """The topics recorded, as keys in TOPICS."""
         names = {topic.name for topic in self.topics}
         return frozenset(key for key, name in self.topic_names.items() if name in names)
 
@@ -119,34 +119,40 @@ class Recording:
 
     @property
     def duration_ns(self) -> int:
-        """Simulated time that the waveform covers."""
+        """Simulated time that the waveform covers, ns."""
         return (self.end_sample - self.first_sample) * self.sample_interval_ns
 
     @cached_property
     def commands(self) -> list[tuple[int, Commands]]:
-        """Commands in force, each from its sample on. Read from the files at first use, then kept."""
+        """Commands in force, each from its sample on. Read at first use, then kept in memory.
+
+        Raises GearboxError at a damaged message.
+        """
         decoder = self.decoder()
-        found = [decoder.applied(*message) for message in self._latched("applied_command")]
-        return [(self.sample_of(applied.time_ns), applied.commands) for applied in found]
+        changes = [decoder.applied(*message) for message in self._latched("applied_command")]
+        return [(self.sample_of(applied.time_ns), applied.commands) for applied in changes]
 
     @cached_property
     def events(self) -> list[OperatorEvent]:
-        """Operator events in their order. Read from the files at first use, then kept."""
+        """Operator events in order. Read at first use, then kept in memory.
+
+        Raises GearboxError at a damaged message.
+        """
         decoder = self.decoder()
         return [decoder.event(*message) for message in self._latched("event")]
 
     def decoder(self) -> MessageDecoder:
-        """Decoder of the messages, for one thread."""
+        """A new decoder of the messages, for one thread."""
         return MessageDecoder(self.channel_names, self.parameters.joint_prefix, str(self.path))
 
     def waveform(self, first: int | None = None, end: int | None = None) -> NDArray[np.float64]:
         """Samples ``first`` to before ``end``, shape (n, channels), as far as the recording holds them.
 
-        Raises GearboxError where samples are missing or doubled.
+        Raises GearboxError if samples are missing or doubled.
         """
-        begin = self.first_sample if first is None else max(first, self.first_sample)
-        beyond = self.end_sample if end is None else min(end, self.end_sample)
-        return self._gather(begin, beyond, slice(None), len(self.channel_names))
+        first = self.first_sample if first is None else max(first, self.first_sample)
+        end = self.end_sample if end is None else min(end, self.end_sample)
+        return self._gather(first, end, slice(None), len(self.channel_names))
 
     def window(
         self,
@@ -154,15 +160,15 @@ class Recording:
         end: float | None = None,
         channels: Sequence[str] | None = None,
     ) -> Samples:
-        """The samples at times in [start, end), columns in the order of ``channels`` (default: all).
+        """The samples at times in [start, end) s that the recording holds, in memory.
 
-        All of them in memory: 8 bytes a channel and sample; ``blocks`` comes piece by piece. What the
-        recording does not cover is left out. Raises UsageError on a channel that is not there, GearboxError
-        where samples are missing.
+        The columns are ``channels`` in this order (default: all); each value takes 8 bytes. ``blocks`` gives
+        the same block by block. Raises UsageError on an unknown channel or a time that is not finite,
+        GearboxError if samples are missing.
         """
-        first, beyond = self.clip(start, end)
+        first, end_sample = self.clip(start, end)
         names, columns = self.columns(channels)
-        rows = self._gather(first, beyond, columns, len(names))
+        rows = self._gather(first, end_sample, columns, len(names))
         return Samples(first, self.parameters.solver.sample_interval, names, rows)
 
     def blocks(
@@ -172,13 +178,13 @@ class Recording:
         channels: Sequence[str] | None = None,
         rows: int = BLOCK_SAMPLES,
     ) -> Iterator[Samples]:
-        """The same in pieces of at least ``rows`` samples, and the rest."""
+        """The samples of ``window`` in blocks of at least ``rows`` samples; the last may be shorter."""
         return self.pieces(*self.clip(start, end), channels, rows)
 
     def pieces(
         self, first: int, end: int, channels: Sequence[str] | None = None, rows: int = BLOCK_SAMPLES
     ) -> Iterator[Samples]:
-        """``blocks`` of the samples ``first`` to before ``end``, which the recording must cover."""
+        """``blocks`` of the samples ``first`` to before ``end``; the recording must hold them."""
         names, columns = self.columns(channels)
         interval = self.parameters.solver.sample_interval
         waiting: list[NDArray[np.float64]] = []
@@ -193,20 +199,23 @@ class Recording:
             yield Samples(first, interval, names, np.concatenate(waiting))
 
     def impacts(self, start: float | None = None, end: float | None = None) -> NDArray[np.void]:
-        """Bearing contacts that ended at times in [start, end): structured (n,), fields as IMPACTS."""
+        """Bearing contacts that ended at times in [start, end) s: structured (n,), fields as IMPACTS.
+
+        Raises GearboxError at a damaged message.
+        """
         low, high = -math.inf if start is None else start, math.inf if end is None else end
-        found = [np.empty(0, IMPACT)]
+        selected = [np.empty(0, IMPACT)]
         for _, rows in self.rows("impacts"):
             impacts = np.ascontiguousarray(rows).view(IMPACT)[:, 0]
-            found.append(impacts[(impacts["end"] >= low) & (impacts["end"] < high)])
-        return np.concatenate(found)
+            selected.append(impacts[(impacts["end"] >= low) & (impacts["end"] < high)])
+        return np.concatenate(selected)
 
     def chunks(
         self, first: int | None = None, end: int | None = None
     ) -> Iterator[tuple[int, NDArray[np.float64]]]:
-        """Index of the first sample, and samples (n, channels), of each chunk in order; cut to [first, end).
+        """Index of the first sample, and samples (n, channels), of each chunk in [first, end), in order.
 
-        Raises GearboxError where samples are missing or doubled.
+        Only the samples in [first, end) are given. Raises GearboxError if samples are missing or doubled.
         """
         expected: int | None = None
         from_ns = None if first is None else self.stamp_of(first)
@@ -223,19 +232,19 @@ class Recording:
                 return
 
     def rows(self, topic: str) -> Iterator[tuple[int, NDArray[np.float64]]]:
-        """Stamp in ns and rows of each message of a topic of arrays (key in TOPICS)."""
+        """Stamp in ns and rows (n, columns) of each message on ``topic`` (key in TOPICS), one with rows."""
         decoder = self.decoder()
         for message in self._messages(topic):
             yield message.time_ns, decoder.rows(topic, message.time_ns, message.data)
 
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
-        """Stamp in ns and decoded message of each message of ``topic`` (key in TOPICS)."""
+        """Stamp in ns and content of each message on ``topic`` (key in TOPICS), fields as in ROS."""
         decoder = self.decoder()
         for message in self._messages(topic):
             yield message.time_ns, decoder.message(topic, message.time_ns, message.data)
 
     def sample_of(self, time_ns: int) -> int:
-        """Index of the sample with the stamp ``time_ns``. Raises GearboxError if there can be none."""
+        """Index of the sample with the stamp ``time_ns``. Raises GearboxError if no sample has it."""
         sample, rest = divmod(time_ns - self.epoch_ns, self.sample_interval_ns)
         if rest:
             raise GearboxError(f"{self.path}: the time {time_ns} ns is that of no sample")
@@ -246,10 +255,10 @@ class Recording:
         return self.epoch_ns + sample * self.sample_interval_ns
 
     def require_window(self, start: float | None, end: float | None) -> tuple[int, int]:
-        """As ``clip``. Raises UsageError besides where the window that was asked for holds no sample."""
-        first, beyond = self.clip(start, end)
-        if first < beyond or (start is None and end is None):
-            return first, beyond
+        """As ``clip``, but raises UsageError if the requested window holds no sample."""
+        first, end_sample = self.clip(start, end)
+        if first < end_sample or (start is None and end is None):
+            return first, end_sample
         if start is not None and end is not None and start >= end:
             raise UsageError(f"from {start:.9g} s to {end:.9g} s is empty: let it end after it starts")
         interval = self.parameters.solver.sample_interval
@@ -262,25 +271,25 @@ class Recording:
         )
 
     def clip(self, start: float | None, end: float | None) -> tuple[int, int]:
-        """The samples [first, beyond) at times in [start, end), as far as there are any.
+        """First and end of the recorded samples at times in [start, end) s; equal if there are none.
 
         Raises UsageError on a time that is not finite.
         """
         first = self.first_sample if start is None else max(self.sample_at(start), self.first_sample)
-        beyond = self.end_sample if end is None else min(self.sample_at(end), self.end_sample)
-        return first, max(first, beyond)
+        end_sample = self.end_sample if end is None else min(self.sample_at(end), self.end_sample)
+        return first, max(first, end_sample)
 
     def sample_at(self, time: float) -> int:
         """Index of the first sample at or after ``time`` s. Raises UsageError if it is not finite."""
         if not math.isfinite(time):
             raise UsageError(f"the time {time} s is not finite: give a number of seconds")
-        # A sample's own time must give that sample, rounded as it is, days after the start too.
+        # The time of a sample, as a rounded double, must give that sample, even days after the start.
         return math.ceil(round(time * 1e9 / self.sample_interval_ns, 4))
 
     def columns(self, channels: Sequence[str] | None) -> tuple[tuple[str, ...], list[int] | slice]:
-        """Names of the ``channels`` (default: all), and where they are in a row of the waveform.
+        """Names of ``channels`` (default: all), and their columns in a row of the waveform.
 
-        Raises UsageError on a channel that is not there.
+        Raises UsageError on an unknown channel.
         """
         known = self.channel_names
         if channels is None:
@@ -290,25 +299,25 @@ class Recording:
                 raise UsageError(f"there is no channel '{name}' in {self.path}: it has {', '.join(known)}")
         return tuple(channels), [known.index(name) for name in channels]
 
-    def _gather(self, first: int, beyond: int, columns: list[int] | slice, width: int) -> NDArray[np.float64]:
-        rows = np.empty((max(beyond - first, 0), width))
+    def _gather(self, first: int, end: int, columns: list[int] | slice, width: int) -> NDArray[np.float64]:
+        rows = np.empty((max(end - first, 0), width))
         if len(rows):
-            for at, samples in self.chunks(first, beyond):
-                rows[at - first : at - first + len(samples)] = samples[:, columns]
+            for sample, samples in self.chunks(first, end):
+                rows[sample - first : sample - first + len(samples)] = samples[:, columns]
         return rows
 
     def without_repeated(
         self, number: int, topic: str, messages: Iterable[StoredMessage]
     ) -> Iterator[StoredMessage]:
-        """Those of ``messages`` of part ``number`` that are on a latched topic (key in TOPICS).
+        """Those of ``messages`` of part ``number`` that are on the latched ``topic`` (key in TOPICS).
 
-        Without the last of the part before, which each part repeats at its start.
+        Leaves out the first one if it repeats the last one of the part before.
         """
         name = self.topic_names[topic]
-        before = self.parts[number - 1].last_message(name) if number else None
-        own = (message for message in messages if message.topic == name)
-        for position, message in enumerate(own):
-            if position or before is None or message.data != before.data:
+        previous = self.parts[number - 1].last_message(name) if number else None
+        on_topic = (message for message in messages if message.topic == name)
+        for position, message in enumerate(on_topic):
+            if position or previous is None or message.data != previous.data:
                 yield message
 
     def _waveform(self, from_ns: int | None) -> Iterator[tuple[int, NDArray[np.float64]]]:
@@ -330,15 +339,15 @@ class Recording:
         if earliest is None:
             return self.start.sample, self.start.sample
         time_ns, samples = earliest
-        found = (part.last_message(self.topic_names["waveform"]) for part in reversed(self.parts))
-        last_ns = next((message.time_ns for message in found if message is not None), time_ns)
+        latest = (part.last_message(self.topic_names["waveform"]) for part in reversed(self.parts))
+        last_ns = next((message.time_ns for message in latest if message is not None), time_ns)
         return self.sample_of(time_ns) - len(samples) + 1, self.sample_of(last_ns) + 1
 
 
 def open(path: str | Path) -> Recording:
-    """The recording at ``path``: a rosbag2 folder or one MCAP file, finished or broken off.
+    """The recording at ``path``: a rosbag2 folder or one MCAP file, complete or broken off.
 
-    Raises UsageError if there is none, GearboxError if it wasn't written by this package or is spoilt.
+    Raises UsageError if there is none, GearboxError if it was not recorded by this package or is damaged.
     """
     path = Path(path)
     parts = open_parts(path)

@@ -1,7 +1,7 @@
-"""Recorder: messages into a rosbag2 folder of MCAP files, on a thread of its own.
+"""Recorder: writes messages to a rosbag2 folder of MCAP files, on its own thread.
 
-It never overwrites, never drops and never raises into the thread that hands over: a slow disk holds that
-thread back, a full or missing one sets ``error``.
+It never overwrites a file and never drops a message, and no error of it reaches the calling thread. With a
+slow disk the caller waits; a full or missing disk sets ``error``.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 from gear_dynamics_ros import __version__
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.encoder import Record
 from gear_dynamics_ros.parameters import dump_parameters
 from gear_dynamics_ros.recording import layout
-from gear_dynamics_ros.recording.digest import TOLD, RunningDigest
+from gear_dynamics_ros.recording.digest import INPUT_TOPICS, RunningDigest
 from gear_dynamics_ros.recording.layout import PartSummary, RunMetadata
 from gear_dynamics_ros.recording.mcap.writer import McapWriter
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint, StoredCheckpoint
@@ -29,51 +29,52 @@ from gear_dynamics_ros.system.files import replace_text, sync_folder
 from gear_dynamics_ros.system.threads import name_thread
 from gear_dynamics_ros.topics import TOPICS, Topic
 
-# Three seconds of every channel at 100 kHz: longer than a disk usually pauses.
+# Three seconds of all channels at 100 kHz: a disk rarely pauses longer.
 QUEUE_BYTES: Final = 64 << 20
-# What a checkpoint takes up in the queue.
+# Size of a checkpoint in the queue, about.
 STATE_BYTES: Final = 1 << 14
-# Half of the second that a crash may cost; the rest is for the queue and the disk.
+# A crash may lose a second: half of it here, half of it for the queue and the disk.
 FLUSH_SECONDS: Final = 0.5
 
 _LATCHED: Final = tuple(key for key, topic in TOPICS.items() if topic.latched)
 
 
 class RecorderStats(NamedTuple):
-    """How the recorder stands."""
+    """Progress of the recorder."""
 
-    queued: int  # messages handed over, not yet written
+    queued: int  # messages received and not yet written
     queued_bytes: int
     messages: int  # messages written
-    flushed: int  # of them on the disk, where no crash takes them
-    bytes: int  # size of all files
+    flushed: int  # messages on the disk, which survive a crash
+    bytes: int  # size of all parts
     parts: int
-    lost: int  # messages handed over after an error, or on their way to the disk when it came
-    free_bytes: int  # on the disk when last looked at
-    seconds_left: float  # of wall time, until recording.minimum_free is reached at the pace of late
+    lost: int  # messages received after an error, or not yet on the disk when it occurred
+    free_bytes: int  # on the disk, at the last check
+    seconds_left: float  # wall time until recording.minimum_free is reached at the latest rate of writing
 
 
 class _Split(NamedTuple):
     start: Checkpoint
 
 
-class _Keep(NamedTuple):
+class _NamedCheckpoint(NamedTuple):
     name: str  # of the attachment
     checkpoint: Checkpoint
 
 
+_QueueEntry: TypeAlias = Sequence[Record] | _Split | _NamedCheckpoint
+
+
 class _StoppedError(Exception):
-    """Why no more can be recorded, and what to do, in words."""
+    """Recording has to stop; the text says why and what to do."""
 
 
 class Recorder:
-    """Records one run into the folder ``path``, made here, from the checkpoint ``start`` on.
+    """Records one run from the checkpoint ``start`` on into the new folder ``path``.
 
-    ``report`` is called once, on the recorder's thread, with the
-    error that stops it.
-
-    Raises UsageError if ``path`` exists or can't be made, GearboxError if the first file can't be opened or
-    less than ``recording.minimum_free`` is free there.
+    ``epoch_ns`` is the stamp of simulated time 0, ``node`` the full name. ``report`` is called once, on the
+    thread of the recorder, with the error that stops it. Raises UsageError if ``path`` exists or can't be
+    created, GearboxError if the first file can't be created or less than ``recording.minimum_free`` is free.
     """
 
     def __init__(
@@ -99,14 +100,14 @@ class Recorder:
         self._parts: list[PartSummary] = []
         self._written = 0
         self._flushed = 0
-        self._in_hand = 0  # messages of those handed over last that the file has taken
-        self._repeated = 0  # messages at the start of the part that stood in one before it
+        self._in_progress = 0  # messages of the present queue entry that the file has accepted
+        self._repeated = 0  # messages at the start of the part, copied from the part before
         self._lost = 0
         self._earlier_bytes = 0
-        self._queue: deque[Sequence[Record] | _Split | _Keep] = deque()
+        self._queue: deque[_QueueEntry] = deque()
         self._queued = 0
         self._queued_bytes = 0
-        self._splits = 0  # that wait in the queue
+        self._splits = 0  # in the queue
         self._closing = False
         self._finished = False
         self._changed = threading.Condition()
@@ -122,12 +123,12 @@ class Recorder:
 
     @property
     def error(self) -> str | None:
-        """Why recording stopped; None while all is well."""
+        """Why recording stopped; None if it did not."""
         return self._error
 
     @property
     def stats(self) -> RecorderStats:
-        """Figures of this moment."""
+        """Present values."""
         with self._changed:
             return RecorderStats(
                 self._queued,
@@ -143,29 +144,29 @@ class Recorder:
 
     @property
     def part_bytes(self) -> int:
-        """Size of the file being written; 0 while a split waits."""
+        """Size of the present part, bytes; 0 while a split is in the queue."""
         with self._changed:
             return 0 if self._splits else self._part.size
 
     def write(self, records: Sequence[Record]) -> None:
-        """Hand over messages, in order; waits while the queue is full. Those not recorded are left out."""
-        wanted = [record for record in records if record.topic in self._topics]
-        self._put(wanted, len(wanted), sum(len(record.data) for record in wanted))
+        """Queue messages, in order; waits while the queue is full. Ignores topics that are not recorded."""
+        kept = [record for record in records if record.topic in self._topics]
+        self._put(kept, len(kept), sum(len(record.data) for record in kept))
 
     def split(self, start: Checkpoint) -> None:
-        """Go on in a new file, complete in itself, from the checkpoint ``start`` on."""
+        """Begin a new part, complete in itself, with the checkpoint ``start``."""
         self._put(_Split(start), 0, STATE_BYTES)
 
     def checkpoint(self, checkpoint: Checkpoint) -> None:
-        """Keep the checkpoint right after the last chunk handed over, so that a replay may begin there."""
-        self._put(_Keep(layout.checkpoint_name(checkpoint.sample), checkpoint), 0, STATE_BYTES)
+        """Store ``checkpoint``, taken right after the last chunk written. A replay may begin there."""
+        self._put(_NamedCheckpoint(layout.checkpoint_name(checkpoint.sample), checkpoint), 0, STATE_BYTES)
 
     def conclude(self, checkpoint: Checkpoint) -> None:
-        """Keep the checkpoint in which the recording ends; nothing but ``close`` follows."""
-        self._put(_Keep(layout.END_ATTACHMENT, checkpoint), 0, STATE_BYTES)
+        """Store ``checkpoint`` as the end of the recording. Only ``close`` may follow."""
+        self._put(_NamedCheckpoint(layout.END_ATTACHMENT, checkpoint), 0, STATE_BYTES)
 
     def close(self) -> None:
-        """Write what is queued, finish the file and metadata.yaml. A second call does nothing."""
+        """Write the queue, finish the part and write metadata.yaml. A second call does nothing."""
         with self._changed:
             self._closing = True
             self._changed.notify_all()
@@ -173,7 +174,7 @@ class Recorder:
         if not self._finished:
             self._salvage()
 
-    def _put(self, item: Sequence[Record] | _Split | _Keep, messages: int, size: int) -> None:
+    def _put(self, item: _QueueEntry, messages: int, size: int) -> None:
         with self._changed:
             self._changed.wait_for(lambda: self._queued_bytes < QUEUE_BYTES or self._stopped)
             if self._stopped:
@@ -198,7 +199,7 @@ class Recorder:
             self._write_metadata()
             self._finished = True
         except Exception as error:
-            # Whatever went wrong here must neither reach the engine nor leave it waiting for room.
+            # No error may reach the engine, or leave it waiting for space in the queue.
             self._fail(error)
             self._salvage()
 
@@ -219,13 +220,13 @@ class Recorder:
             if isinstance(item, _Split):
                 self._next_part(item.start)
                 self._release(STATE_BYTES)
-            elif isinstance(item, _Keep):
-                self._keep(item)
+            elif isinstance(item, _NamedCheckpoint):
+                self._store(item)
                 self._release(STATE_BYTES)
             elif item:
                 for record in item:
-                    # Should its chunk not get to the disk, ``salvage`` counts it.
-                    self._in_hand += 1
+                    # If its chunk does not reach the disk, ``salvage`` counts it as lost.
+                    self._in_progress += 1
                     self._write_record(record)
                 self._done(item)
             elif self._closing and not self._queue:
@@ -234,8 +235,8 @@ class Recorder:
                 self._flush()
                 flush_at = time.monotonic() + FLUSH_SECONDS
 
-    def _next(self, until: float) -> Sequence[Record] | _Split | _Keep | None:
-        """What was handed over next; None at the time ``until`` or when closing."""
+    def _next(self, until: float) -> _QueueEntry | None:
+        """Next entry of the queue; None at the time ``until`` or when closing."""
         with self._changed:
             self._changed.wait_for(
                 lambda: self._queue or self._closing, timeout=max(0.0, until - time.monotonic())
@@ -247,11 +248,11 @@ class Recorder:
             self._queued -= len(records)
             self._queued_bytes -= sum(len(record.data) for record in records)
             self._written += len(records)
-            self._in_hand = 0
+            self._in_progress = 0
             self._changed.notify_all()
 
     def _release(self, size: int) -> None:
-        """Make room in the queue."""
+        """Free ``size`` bytes of the queue."""
         with self._changed:
             self._queued_bytes -= size
             self._changed.notify_all()
@@ -262,14 +263,14 @@ class Recorder:
         self._part.write(record, self._sequences[record.topic])
         self._sequences[record.topic] += 1
 
-    def _keep(self, kept: _Keep) -> None:
-        self._part.keep(kept, self._time_ns(kept.checkpoint))
+    def _store(self, named: _NamedCheckpoint) -> None:
+        self._part.store(named, self._time_ns(named.checkpoint))
 
     def _flush(self) -> None:
         self._part.flush()
         self._part.require_in_place()
         self._flushed = self._written
-        self._disk.watch(self._earlier_bytes + self._part.size)
+        self._disk.check(self._earlier_bytes + self._part.size)
 
     def _new_part(self) -> _PartWriter:
         return _PartWriter(self.path / layout.part_name(self.path, len(self._parts)), self._topics)
@@ -280,7 +281,7 @@ class Recorder:
         self._flushed = self._written
 
     def _next_part(self, start: Checkpoint) -> None:
-        self._keep(_Keep(layout.END_ATTACHMENT, start))
+        self._store(_NamedCheckpoint(layout.END_ATTACHMENT, start))
         self._finish_part()
         part = self._new_part()
         try:
@@ -307,15 +308,15 @@ class Recorder:
     def _fail(self, error: Exception) -> None:
         with self._changed:
             self._error = f"recording '{self.path}' stopped: {_reason(error)}"
-            self._written += self._in_hand
-            self._lost += self._queued - self._in_hand
+            self._written += self._in_progress
+            self._lost += self._queued - self._in_progress
             self._queue.clear()
             self._queued = self._queued_bytes = 0
             self._changed.notify_all()
         self._report(self._error)
 
     def _salvage(self) -> None:
-        """Finish, as far as the disk allows, the file that broke off."""
+        """Finish the part after an error, as far as the disk allows."""
         try:
             self._part.require_in_place()
             if not self._part.finished:
@@ -332,28 +333,25 @@ class Recorder:
 
 
 class _Disk:
-    """Watches the room that is left where a recording lies.
-
-    Raises _StoppedError where it is less than ``minimum`` bytes.
-    """
+    """Checks the free space for a recording at ``path``. Raises _StoppedError below ``minimum`` bytes."""
 
     def __init__(self, path: Path, minimum: int) -> None:
         self._path = path
         self._minimum = minimum
-        self._looked_at = time.monotonic()
-        self._bytes = 0
+        self._checked_at = time.monotonic()
+        self._written = 0  # bytes, at the last check
         self.free_bytes = 0
         self.seconds_left = math.inf
-        self.watch(0)
+        self.check(0)
 
-    def watch(self, written: int) -> None:
-        """Look, ``written`` bytes being written by now."""
+    def check(self, written: int) -> None:
+        """Check the free space; ``written`` is the present size of the recording in bytes."""
         now = time.monotonic()
         volume = os.statvfs(self._path)
         self.free_bytes = volume.f_bavail * volume.f_frsize
-        pace = (written - self._bytes) / (now - self._looked_at) if written > self._bytes else 0.0
-        self.seconds_left = max(0, self.free_bytes - self._minimum) / pace if pace else math.inf
-        self._bytes, self._looked_at = written, now
+        rate = (written - self._written) / (now - self._checked_at) if written > self._written else 0.0
+        self.seconds_left = max(0, self.free_bytes - self._minimum) / rate if rate else math.inf
+        self._written, self._checked_at = written, now
         if self.free_bytes < self._minimum:
             raise _StoppedError(
                 f"only {self.free_bytes / 1e6:.1f} MB are free there, less than recording.minimum_free = "
@@ -362,7 +360,7 @@ class _Disk:
 
 
 class _PartWriter:
-    """One MCAP file of a recording, complete in itself."""
+    """Writes one part: an MCAP file that is complete in itself."""
 
     def __init__(self, path: Path, topics: Mapping[str, tuple[str, Topic]]) -> None:
         self._path = path
@@ -374,11 +372,11 @@ class _PartWriter:
 
     @property
     def size(self) -> int:
-        """Bytes in the file."""
+        """Size of the file, bytes."""
         return self._mcap.index.end
 
     def begin(self, run: RunMetadata, start: Checkpoint) -> None:
-        """Attachments and channels: whatever a reader needs before the first message."""
+        """Write attachments and channels: what a reader needs before the first message."""
         self._mcap.add_metadata(layout.RUN_METADATA, run.to_text())
         parameters = dump_parameters(start.parameters)
         state = StoredCheckpoint(start, current_provenance()).to_text()
@@ -389,25 +387,25 @@ class _PartWriter:
         self._mcap.sync()
 
     def write(self, record: Record, sequence: int) -> None:
-        """Add a message."""
+        """Write a message."""
         self._mcap.add_message(self._channels[record.topic], sequence, record.time_ns, record.data)
-        if record.topic in TOLD:
+        if record.topic in INPUT_TOPICS:
             self._digest.add(self._topics[record.topic][0], record.time_ns, record.data)
 
-    def keep(self, kept: _Keep, time_ns: int) -> None:
-        """Attach a checkpoint, behind all messages before it, with the digest of what led to it."""
+    def store(self, named: _NamedCheckpoint, time_ns: int) -> None:
+        """Attach a checkpoint after all messages before it, with the digest since the last checkpoint."""
         self._mcap.end_chunk()
-        text = StoredCheckpoint(kept.checkpoint, current_provenance(), self._digest.text()).to_text()
-        self._attach(time_ns, kept.name, "json", text)
+        text = StoredCheckpoint(named.checkpoint, current_provenance(), self._digest.text()).to_text()
+        self._attach(time_ns, named.name, "json", text)
         self._digest = RunningDigest(text.encode())
 
     def flush(self) -> None:
-        """Bring every message to the disk."""
+        """Write every message to the disk (fsync)."""
         self._mcap.end_chunk()
         self._mcap.sync()
 
     def require_in_place(self) -> None:
-        """Raise _StoppedError if the file is no longer where it was made: writing to it would help nobody."""
+        """Raise _StoppedError if the file was moved or removed."""
         if not self._mcap.in_place:
             raise _StoppedError(
                 f"its file '{self._path.name}' has gone: what was written is where it went; "
@@ -415,7 +413,7 @@ class _PartWriter:
             )
 
     def finish(self) -> PartSummary:
-        """Complete the file."""
+        """Write the index and close the file."""
         self._mcap.end_chunk()
         part = self._part()
         embedded = layout.embedded_metadata(dict(self._topics.values()), part)
@@ -426,7 +424,10 @@ class _PartWriter:
         return part
 
     def salvage(self) -> tuple[PartSummary, int]:
-        """Complete the file with what was written whole, after a write failed; how many messages were not."""
+        """After a failed write, complete the file without the open chunk.
+
+        Returns the number of messages in that chunk too, which are lost.
+        """
         abandoned = self._mcap.abandon_chunk()
         self._mcap.finish()
         self._mcap.close()
@@ -434,7 +435,7 @@ class _PartWriter:
         return self._part(), abandoned
 
     def discard(self) -> None:
-        """Remove the file again."""
+        """Close and remove the file."""
         self._mcap.close()
         self._path.unlink()
 
@@ -447,7 +448,7 @@ class _PartWriter:
 
 
 def _reason(error: Exception) -> str:
-    """What went wrong and what to do, in words."""
+    """Text of ``error`` with what to do."""
     if isinstance(error, _StoppedError):
         return str(error)
     if isinstance(error, FileNotFoundError):

@@ -1,4 +1,4 @@
-"""The last seconds of a run in memory, ready to become a recording."""
+"""Keeps the last seconds of a run in memory, to record them on request."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from gear_dynamics_ros.simulation.checkpoint import Checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.topics import TOPICS
 
-# The ring forgets a segment at a time: it holds at most an eighth more than it must.
+# The ring drops whole segments: it holds at most an eighth more than it must.
 SEGMENTS: Final = 8
-# Messages handed over together: between two such pieces the recorder looks at the disk.
-AT_ONCE: Final = 100
+# Messages given to the recorder at once; it checks the disk in between.
+BATCH: Final = 100
 
 
 @dataclass(slots=True)
 class _Segment:
-    """Messages from a checkpoint on; ``latched`` are those of latched topics that came last before it."""
+    """Messages after a checkpoint; ``latched`` are the last ones before it, by key of the latched topic."""
 
     start: Checkpoint
     latched: Mapping[str, bytes]
@@ -34,13 +34,16 @@ class _Segment:
 
 
 class Excerpt(NamedTuple):
-    """A piece of a run, complete in itself."""
+    """A section of a run that can become a recording."""
 
     segments: tuple[_Segment, ...]
     end: Checkpoint
 
     def write(self, path: Path, epoch_ns: int, node: str) -> Path:
-        """Make a recording of it. Raises GearboxError if it can't be written whole."""
+        """Make a recording of it in the new folder ``path``; returns its absolute path.
+
+        Raises UsageError if ``path`` exists or can't be created, GearboxError if writing fails.
+        """
         first = self.segments[0]
         recorder = Recorder(path, first.start, epoch_ns, node)
         time_ns = epoch_ns + first.start.sample * first.start.parameters.solver.sample_interval_ns
@@ -48,8 +51,8 @@ class Excerpt(NamedTuple):
         for segment in self.segments:
             if segment is not first:
                 recorder.checkpoint(segment.start)
-            for begin in range(0, len(segment.records), AT_ONCE):
-                recorder.write(segment.records[begin : begin + AT_ONCE])
+            for begin in range(0, len(segment.records), BATCH):
+                recorder.write(segment.records[begin : begin + BATCH])
         recorder.conclude(self.end)
         recorder.close()
         if recorder.error is not None:
@@ -64,28 +67,28 @@ class Ring:
         self._engine = engine
         solver = engine.parameters.solver
         self._samples = round(engine.parameters.recording.ring_duration * 1e9 / solver.sample_interval_ns)
-        self._wanted = layout.recorded_topics(engine.parameters, "").keys()
+        self._topics = layout.recorded_topics(engine.parameters, "").keys()
         self._latched: dict[str, bytes] = {}
         self._segments: deque[_Segment] = deque()
         self._begin_segment()
 
     @property
     def samples(self) -> int:
-        """Samples that the ring holds."""
+        """Number of samples that the ring holds."""
         return self._samples_since(self._segments[0])
 
     @property
     def size(self) -> int:
-        """Bytes of its messages."""
+        """Size of its messages, bytes."""
         return sum(segment.size for segment in self._segments)
 
     def write(self, chunk: Chunk | None, records: Sequence[Record]) -> None:
-        """Keep the messages, and forget those that are too old."""
+        """Keep the messages, and drop those that are too old."""
         segment = self._segments[-1]
-        wanted = [record for record in records if record.topic in self._wanted]
-        segment.records.extend(wanted)
-        segment.size += sum(len(record.data) for record in wanted)
-        for record in wanted:
+        kept = [record for record in records if record.topic in self._topics]
+        segment.records.extend(kept)
+        segment.size += sum(len(record.data) for record in kept)
+        for record in kept:
             if TOPICS[record.topic].latched:
                 self._latched[record.topic] = record.data
         if chunk is not None and (self._engine.sample - segment.start.sample) * SEGMENTS >= self._samples:
@@ -96,11 +99,11 @@ class Ring:
             self._segments.popleft()
 
     def close(self) -> None:
-        """What nobody asked for is forgotten."""
+        """Drop everything."""
         self._segments.clear()
 
     def cut(self) -> Excerpt:
-        """All that the ring holds now; it goes on."""
+        """Everything that the ring holds now. The ring continues."""
         *earlier, last = self._segments
         return Excerpt(
             (*earlier, _Segment(last.start, last.latched, list(last.records))), self._engine.checkpoint()

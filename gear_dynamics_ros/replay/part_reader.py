@@ -14,7 +14,7 @@ from gear_dynamics_ros.events import OperatorEvent
 from gear_dynamics_ros.messages.decoder import MessageDecoder
 from gear_dynamics_ros.parameters import differences, parse_parameters
 from gear_dynamics_ros.recording import layout
-from gear_dynamics_ros.recording.digest import TOLD, RunningDigest
+from gear_dynamics_ros.recording.digest import INPUT_TOPICS, RunningDigest
 from gear_dynamics_ros.recording.parts import StoredMessage
 from gear_dynamics_ros.recording.reader import Recording
 from gear_dynamics_ros.topics import COMMAND_TOPICS, OF_A_CHUNK, TOPICS
@@ -57,7 +57,7 @@ class PartReader:
     def told(self) -> Sequence[StoredMessage]:
         """The messages that no chunk made, in the order of the file, in memory."""
         names = self._recording.topic_names
-        found = self.part.messages([names[key] for key in TOLD])
+        found = self.part.messages([names[key] for key in INPUT_TOPICS])
         # Of their own, or each would keep the whole chunk that it stands in.
         return [message._replace(data=memoryview(bytes(message.data))) for message in found]
 

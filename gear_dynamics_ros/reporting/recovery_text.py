@@ -17,7 +17,7 @@ def recovery_lines(report: Recovery) -> Iterator[str]:
         yield f"  {name}  {reason}: left out"
     for gap in report.gaps:
         yield f"missing in between: {gap.end - gap.first} samples, {_times(gap, report)}"
-    if not report.described:
+    if not report.metadata_found:
         yield "metadata.yaml was missing: made anew"
     yield f"read {report.size} bytes, kept {_kept(report, report)}"
     yield _verdict(report)
