@@ -2,8 +2,8 @@
 
     python benchmarks/general_solvers.py [--plot docs/work_precision.png]
 
-The error is the largest deviation of DTE at 100 kHz samples from test/referee.py over the first millisecond.
-The engine's time includes its other channels, that of the others only DTE. Compilation is excluded. A time
+The error is the largest deviation of DTE at 100 kHz samples from test/support/referee.py over the first
+millisecond. The engine's time includes its other channels, that of the others only DTE. Compilation is excluded. A time
 at the error aimed at lies between those of neighbouring settings, on a straight line in the logarithms;
 ratios are made repeat by repeat, and their median is quoted.
 """
@@ -94,7 +94,7 @@ def measure(path: Path, repeats: int) -> list[Result]:
 def referee_dte(path: Path) -> NDArray[np.float64]:
     """DTE in m by the independent program of the tests."""
     sys.path.append(str(SOURCE / "test"))
-    from referee import CHANNELS, Referee, load_case
+    from support.referee import CHANNELS, Referee, load_case
 
     rows: NDArray[np.float64] = Referee(load_case(path)).run(SAMPLES)
     return rows[:, CHANNELS.index("dte")]

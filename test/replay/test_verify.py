@@ -11,10 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import altering
 import numpy as np
 import pytest
-from altering import alter, in_json, on_topic
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -31,6 +29,8 @@ from gear_dynamics_ros.recordings import RecorderSink
 from gear_dynamics_ros.run import Run
 from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN, PACE, Commands
 from gear_dynamics_ros.topics import FLOAT64, FLOAT_COMMANDS, TOPICS, resolve
+from support import altering
+from support.altering import alter, in_json, on_topic
 
 # What may be done between two chunks; "restore" takes up the state that "save" kept.
 DEEDS: tuple[Any, ...] = (

@@ -15,10 +15,10 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from support.paths import CONFIG
+
 # `make demo` plays demo.yaml.
-SHIPPED = sorted(
-    path for path in (Path(__file__).parents[1] / "config" / "profiles").glob("*.yaml") if path.stem != "demo"
-)
+SHIPPED = sorted(path for path in (CONFIG / "profiles").glob("*.yaml") if path.stem != "demo")
 
 STEP = """
 commands:

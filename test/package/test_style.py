@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import subprocess
-from pathlib import Path
 
 import pytest
 from conftest import executable
 
-SOURCE = Path(__file__).resolve().parent.parent
+from support.paths import ROOT
 
 
 @pytest.mark.parametrize(
@@ -18,5 +17,5 @@ SOURCE = Path(__file__).resolve().parent.parent
 )
 def test_clean(command: tuple[str, ...]) -> None:
     tool, *arguments = command
-    done = subprocess.run([executable(tool), *arguments], cwd=SOURCE, capture_output=True, text=True)
+    done = subprocess.run([executable(tool), *arguments], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr

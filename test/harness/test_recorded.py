@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recordings_to_play import record
 
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import UsageError
@@ -14,6 +13,7 @@ from gear_dynamics_ros.harness import recorded
 from gear_dynamics_ros.harness.recorded import Change, Reset
 from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.signals import Commands
+from support.played import record
 
 PARAMETERS = updated(Parameters(), {"operation.speed": 400.0, "operation.control": "torque"})
 CHANGED = {"oil.viscosity": 0.05, "operation.drive_torque": 25.0}

@@ -16,7 +16,6 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from recordings_to_play import record
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
 from std_srvs.srv import SetBool, Trigger
@@ -27,6 +26,7 @@ from gear_dynamics_ros.node_topics import quality
 from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.signals import Commands
 from gear_dynamics_ros.topics import TOPICS, resolve
+from support.played import record
 
 # A viscous load, so that no command makes the speed run away.
 SETTINGS = {

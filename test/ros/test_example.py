@@ -7,7 +7,6 @@ import signal
 import sys
 import time
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,8 +20,8 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
 from gear_dynamics_ros.parameters import Parameters
+from support.paths import ROOT
 
-SOURCE = Path(__file__).resolve().parent.parent
 PATIENCE = 120.0
 SPEED = 1000.0
 PROPORTIONAL, INTEGRAL = 0.11, 0.55
@@ -113,7 +112,7 @@ def test_speed_comes_back_after_each_load_step(ros_domain, process, bench):
     process(sys.executable, "-m", "gear_dynamics_ros.cli.gearbox", "--ros-args", *given)
     bench.until(lambda: bench.rows)
     gains = ("-p", f"proportional:={PROPORTIONAL}", "-p", f"integral:={INTEGRAL}", "-p", f"speed:={SPEED}")
-    controller = process(sys.executable, str(SOURCE / "examples/speed_controller.py"), "--ros-args", *gains)
+    controller = process(sys.executable, str(ROOT / "examples/speed_controller.py"), "--ros-args", *gains)
     bench.until(lambda: bench.load.get_subscription_count() > 0)
     bench.until(lambda: any(row[2] != LOADS[0] for row in bench.rows))
     began = bench.rows[-1][0]

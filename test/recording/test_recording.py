@@ -18,7 +18,6 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from recordings_made import EPOCH_NS, extra_records
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
@@ -40,6 +39,7 @@ from gear_dynamics_ros.signals import (
     Status,
 )
 from gear_dynamics_ros.topics import TOPICS, resolve
+from support.every_topic import EPOCH_NS, extra_records
 
 COUNTERS = Counters(0, 0, 0, 0, 0)
 ROWS = 200

@@ -18,8 +18,8 @@ from conftest import executable
 import gear_dynamics_ros
 from gear_dynamics_ros import resources
 from gear_dynamics_ros.errors import GearboxError
+from support.paths import ROOT
 
-SOURCE = Path(__file__).resolve().parent.parent
 PACKAGE = "gear_dynamics_ros"
 EXECUTABLES = ("analyze", "drive", "gearbox", "replay", "simulate")
 SHARED = (
@@ -66,7 +66,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     copy = tmp_path_factory.mktemp("source") / PACKAGE
     made = ("__pycache__", "*.egg-info", "build", "install", "log", "demo", "node_modules")
     ignored = shutil.ignore_patterns(".*", *made)
-    shutil.copytree(SOURCE, copy, ignore=ignored)
+    shutil.copytree(ROOT, copy, ignore=ignored)
     return copy
 
 
@@ -118,7 +118,7 @@ def test_shared_files_are_found(installed: Installation) -> None:
 
 
 def test_shared_file_of_a_checkout() -> None:
-    assert resources.share_file("config/gearbox.yaml") == SOURCE / "config/gearbox.yaml"
+    assert resources.share_file("config/gearbox.yaml") == ROOT / "config/gearbox.yaml"
 
 
 def test_missing_shared_file_is_named() -> None:
@@ -128,7 +128,7 @@ def test_missing_shared_file_is_named() -> None:
 
 def test_manifest_agrees_with_the_package() -> None:
     warnings: list[str] = []
-    manifest = parse_package(str(SOURCE), warnings=warnings)
+    manifest = parse_package(str(ROOT), warnings=warnings)
     manifest.validate(warnings=warnings)
     assert warnings == []
     assert manifest.name == PACKAGE

@@ -13,8 +13,9 @@ import numpy as np
 from gear_dynamics_ros.messages import serialize, waveform_message
 from gear_dynamics_ros.signals import CHANNEL_NAMES
 from gear_dynamics_ros.topics import ARRAY
+from support.paths import ROOT
 
-SOAK = Path(__file__).resolve().parent.parent / "benchmarks" / "soak.py"
+SOAK = ROOT / "benchmarks" / "soak.py"
 SAMPLE_RATE = 100_000
 INTERVAL_NS = 10_000
 

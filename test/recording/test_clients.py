@@ -17,11 +17,11 @@ from ament_index_python import get_package_share_path
 from conftest import Rerun
 from mcap.reader import NonSeekingReader, SeekingReader, make_reader
 from mcap_ros2.decoder import DecoderFactory
-from recordings_made import Made, full_name, leaves, record_everything, sequences
 from rosbags.highlevel import AnyReader
 
 from gear_dynamics_ros.messages import Record, deserialize
 from gear_dynamics_ros.topics import TOPICS, resolve
+from support.every_topic import Made, full_name, leaves, record_everything, sequences
 
 
 @pytest.fixture(scope="module")

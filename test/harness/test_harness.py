@@ -21,8 +21,9 @@ from gear_dynamics_ros.harness.profile import parse_profile as parse_profile_in
 from gear_dynamics_ros.harness.results import format_results
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.signals import CHANNEL_NAMES
+from support.paths import CONFIG, ROOT
 
-PROFILES = sorted((Path(__file__).parents[1] / "config" / "profiles").glob("*.yaml"))
+PROFILES = sorted((CONFIG / "profiles").glob("*.yaml"))
 CHANNELS = ("time", "dte", "meshing_state")
 INTERVAL = 1e-5
 
@@ -294,7 +295,7 @@ def test_shipped_profiles_are_sound(path: Path) -> None:
 
 
 def test_the_documented_profile_is_sound(tmp_path: Path) -> None:
-    text = (Path(__file__).parents[1] / "docs" / "drive.md").read_text()
+    text = (ROOT / "docs" / "drive.md").read_text()
     (example,) = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
     (tmp_path / "profile.yaml").write_text(example)
     (tmp_path / "load.csv").write_text("time,torque\n0.0,30.0\n2.5,50.0\n")

@@ -16,8 +16,7 @@ from gear_dynamics_ros.cli.replay import main as replay_main
 from gear_dynamics_ros.cli.simulate import main as simulate_main
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.parameters import Parameters, load, updated
-
-CONFIG = Path(__file__).parent.parent / "config"
+from support.paths import CONFIG
 
 
 def simulate(output: Path, *words: str, duration: str = "0.02") -> int:

@@ -7,10 +7,10 @@ import math
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from measurements import GROUPS, delivered_restitution, film_by_quadrature, ocvirk
 
 from gear_dynamics_ros.physics import kernel
 from gear_dynamics_ros.physics.restitution import damping_factor
+from support.measurements import GROUPS, delivered_restitution, film_by_quadrature, ocvirk
 
 
 @pytest.mark.parametrize("group", GROUPS)

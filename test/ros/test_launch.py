@@ -15,8 +15,8 @@ import pytest
 
 from gear_dynamics_ros.cli import drive
 from gear_dynamics_ros.parameters import Parameters
+from support.paths import ROOT
 
-SOURCE = Path(__file__).resolve().parents[1]
 MODULES: Mapping[str, tuple[str, ...]] = {
     "ament_index_python.packages": (),
     "launch": ("LaunchContext", "LaunchDescription"),
@@ -51,7 +51,7 @@ def _stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         sys.modules["ament_index_python.packages"],
         "get_package_share_directory",
-        lambda package: str(SOURCE),
+        lambda package: str(ROOT),
         raising=False,
     )
 
@@ -72,7 +72,7 @@ def defaults(entities: list[Any]) -> dict[str, str]:
 
 def started_drive(**chosen: str) -> Any:
     """The drive that harness.launch.py starts; what is not ``chosen`` has its default."""
-    entities = actions(SOURCE / "launch" / "harness.launch.py")
+    entities = actions(ROOT / "launch" / "harness.launch.py")
     (include,) = of_kind("IncludeLaunchDescription", entities)
     included = actions(Path(include.arguments[0].arguments[0]))
     (function,) = of_kind("OpaqueFunction", entities)
@@ -81,7 +81,7 @@ def started_drive(**chosen: str) -> Any:
 
 
 def test_the_gearbox_is_started_with_or_without_a_viewer() -> None:
-    entities = actions(SOURCE / "launch" / "gearbox.launch.py")
+    entities = actions(ROOT / "launch" / "gearbox.launch.py")
     assert Path(defaults(entities)["params_file"]).is_file()
     watched, alone = of_kind("Node", entities)
     (viewer,) = of_kind("ExecuteProcess", entities)

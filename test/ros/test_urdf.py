@@ -6,7 +6,6 @@ import math
 import subprocess
 import sys
 import time
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -26,8 +25,8 @@ from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics.derived import base_radii
 from gear_dynamics_ros.topics import JOINT_STATE, TOPICS, WRENCH, resolve
 from gear_dynamics_ros.urdf import main, urdf
+from support.paths import ROOT
 
-SOURCE = Path(__file__).resolve().parent.parent
 PATIENCE = 120.0
 UNEQUAL = Parameters.from_flat({"gears.driving.teeth": 25, "gears.driven.teeth": 40})
 
@@ -79,7 +78,7 @@ def crossing(points, through, along):
 
 def test_the_shipped_file_is_what_the_defaults_print(capsys):
     assert main([]) == 0
-    assert capsys.readouterr().out == (SOURCE / "urdf/gearbox.urdf").read_text()
+    assert capsys.readouterr().out == (ROOT / "urdf/gearbox.urdf").read_text()
 
 
 def test_flanks_meet_where_the_joint_states_put_the_gears():
@@ -163,7 +162,7 @@ def test_prefix_and_node_reach_every_name():
 )
 def test_what_cannot_be_is_told_in_one_line(arguments, told):
     command = [sys.executable, "-m", "gear_dynamics_ros.urdf", *arguments]
-    done = subprocess.run(command, cwd=SOURCE, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
     assert done.returncode == 2
     assert told in done.stderr and done.stderr.count("\n") == 1
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from measurements import mean_magnitude, parameters
 
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.physics.surface import fractal_surface
+from support.measurements import mean_magnitude, parameters
 
 
 @settings(max_examples=25, deadline=None)

@@ -30,8 +30,8 @@ from gear_dynamics_ros.parameters import (
 )
 from gear_dynamics_ros.ros_yaml import SMALLEST_NORMAL, parse_yaml, resolve, scalar_text
 from gear_dynamics_ros.signals import COLUMN
+from support.paths import ROOT
 
-ROOT = Path(__file__).resolve().parent.parent
 DOMAIN_ID = 91
 
 NUMBERS = """

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from measurements import PUBLISHED
 from numpy.typing import NDArray
-from referee import CHANNELS, Referee, clearest, nested
 from scipy.optimize import newton
 
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.parameters import Parameters, load
 from gear_dynamics_ros.signals import CHANNEL_NAMES
+from support.measurements import PUBLISHED
+from support.paths import CASES
+from support.referee import CHANNELS, Referee, clearest, nested
 
-CASES = Path(__file__).parent / "cases"
 SAMPLES = 101  # the first millisecond
 NANOMETRE = 1e-9
 ANGLES = ("driving_angle", "mesh_phase")

@@ -20,8 +20,8 @@ from rclpy.signals import SignalHandlerOptions
 from gear_dynamics_ros.discovery import DECIDING, PROFILES, RANGE, stay_local
 from gear_dynamics_ros.parameters import specifications
 from gear_dynamics_ros.topics import TOPICS, resolve
+from support.paths import ROOT
 
-SOURCE = Path(__file__).resolve().parent.parent
 PATIENCE = 120.0
 GEARBOX = (sys.executable, "-m", "gear_dynamics_ros.cli.gearbox", "--ros-args")
 TCP_LISTEN = "0A"
@@ -159,7 +159,7 @@ def test_nothing_is_received_from_beyond_this_machine(
 def test_without_a_wish_everything_stays_on_this_machine(environment):
     stay_local()
     assert os.environ[RANGE] == "LOCALHOST"
-    assert os.environ[PROFILES] == str(SOURCE / "config/fastdds_local.xml")
+    assert os.environ[PROFILES] == str(ROOT / "config/fastdds_local.xml")
 
 
 @pytest.mark.parametrize(
@@ -190,7 +190,7 @@ def test_what_may_change_while_the_gearbox_runs_cannot_name_a_path():
 
 def policy_profile(node):
     """Names that the policy lets ``node`` publish, subscribe to, serve and call."""
-    policy = ElementTree.parse(SOURCE / "sros2/policy.xml").getroot()
+    policy = ElementTree.parse(ROOT / "sros2/policy.xml").getroot()
     (profile,) = [profile for profile in policy.iter("profile") if profile.get("node") == node]
     namespace = profile.get("ns").rstrip("/")
 
@@ -203,7 +203,7 @@ def policy_profile(node):
 
 
 def test_the_policy_has_the_form_that_sros2_reads():
-    policy = ElementTree.parse(SOURCE / "sros2/policy.xml").getroot()
+    policy = ElementTree.parse(ROOT / "sros2/policy.xml").getroot()
     assert (policy.tag, policy.attrib) == ("policy", {"version": "0.2.0"})
     (contexts,) = policy
     assert contexts.tag == "contexts"

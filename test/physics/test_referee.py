@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from referee import CHANNELS, Referee, load_case
 
-CASES = Path(__file__).parent / "cases"
+from support.paths import CASES
+from support.referee import CHANNELS, Referee, load_case
+
 SAMPLES = 101  # the first millisecond
 
 

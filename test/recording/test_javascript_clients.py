@@ -12,14 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from recordings_made import EPOCH_NS, Made, full_name, leaves, record_everything, sequences
 
 from gear_dynamics_ros import __version__
 from gear_dynamics_ros.messages import Record, deserialize
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.topics import TOPICS
+from support.every_topic import EPOCH_NS, Made, full_name, leaves, record_everything, sequences
+from support.paths import TESTS
 
-READERS = Path(__file__).parent / "node"
+READERS = TESTS / "node"
 OLDEST_NODE = 18
 
 

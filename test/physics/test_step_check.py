@@ -11,8 +11,8 @@ import pytest
 from gear_dynamics_ros.cli.simulate import main as simulate_main
 from gear_dynamics_ros.parameters import Parameters, load
 from gear_dynamics_ros.physics import derived, kernel, step_check
+from support.paths import CONFIG
 
-CONFIG = Path(__file__).parent.parent / "config"
 STEADY = {"mesh.stiffness_cos": [0.0], "model": "traditional"}
 FREE = {"bearings.driving.kelvin_stiffness": 1.0, "bearings.driven.kelvin_stiffness": 1.0}
 HELD = {"gears.driving.mass": 1e6, "gears.driven.mass": 1e6}
