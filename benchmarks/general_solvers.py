@@ -3,9 +3,9 @@
     python benchmarks/general_solvers.py [--plot docs/work_precision.png]
 
 The error is the largest deviation of DTE at 100 kHz samples from test/support/referee.py over the first
-millisecond. The engine's time includes its other channels, that of the others only DTE. Compilation is excluded. A time
-at the error aimed at lies between those of neighbouring settings, on a straight line in the logarithms;
-ratios are made repeat by repeat, and their median is quoted.
+millisecond. The engine's time includes its other channels, that of the others only DTE. Compilation is
+excluded. A time at the error aimed at lies between those of neighbouring settings, on a straight line in the
+logarithms; ratios are made repeat by repeat, and their median is quoted.
 """
 
 from __future__ import annotations

@@ -22,7 +22,8 @@ from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics.derived import base_radii
 from gear_dynamics_ros.recording.writer import Recorder
 from gear_dynamics_ros.samples import Samples
-from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN
+from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN, Commands
+from support.recordings import following, record
 
 INTERVAL = 1e-5
 FIGURES = ("overview", "time_series", "spectrum", "phase_portrait", "orbits", "bearing_force")
@@ -182,24 +183,16 @@ def test_a_short_run_is_its_own_window() -> None:
 # The command
 
 
-def record(path: Path, parameters: Parameters, chunks: int) -> None:
-    engine, encoder = Engine(parameters), Encoder(parameters, 0)
-    recorder = Recorder(path, parameters, engine.checkpoint(), 0)
-    recorder.write([encoder.applied(engine.commands, 0)])
-    for number in range(chunks):
-        if number == chunks // 4:
-            engine.command(engine.commands._replace(load_torque=45.0))
-            recorder.write([encoder.applied(engine.commands, engine.sample)])
-        recorder.write(encoder.chunk(engine.advance()))
-    recorder.close()
-    assert recorder.error is None
+def loaded(path: Path, parameters: Parameters, chunks: int) -> Path:
+    """Recording of a run whose load rises to 45 N m after a quarter."""
+    commands: list[Commands | None] = [None] * chunks
+    commands[chunks // 4] = Commands(30.0, 45.0, 1623.156)
+    return record(path, parameters, chunks, following(commands)).path
 
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("analysis") / "bag"
-    record(path, Parameters(), 240)
-    return path
+    return loaded(tmp_path_factory.mktemp("analysis") / "bag", Parameters(), 240)
 
 
 def test_analyze_draws_and_counts(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -261,7 +254,7 @@ def test_a_recording_without_the_ledger_has_none(tmp_path: Path) -> None:
 
 
 def test_analyze_takes_energies_as_channels(tmp_path: Path) -> None:
-    record(tmp_path / "bag", Parameters.from_flat({"waveform_channels": tuple(COLUMN)}), 8)
+    loaded(tmp_path / "bag", Parameters.from_flat({"waveform_channels": tuple(COLUMN)}), 8)
     assert analyze.main([str(tmp_path / "bag"), "--output", str(tmp_path / "out")]) == 0
     found = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
     assert found["run"]["channels"]["kinetic_energy"]["unit"] == "J"
@@ -279,7 +272,7 @@ def test_analyze_takes_the_window_asked_for(bag: Path, tmp_path: Path) -> None:
 
 def test_analyze_draws_what_a_subset_of_channels_allows(tmp_path: Path) -> None:
     parameters = Parameters.from_flat({"waveform_channels": ("time", "dte", "mesh_force")})
-    record(tmp_path / "bag", parameters, 8)
+    loaded(tmp_path / "bag", parameters, 8)
     assert analyze.main([str(tmp_path / "bag"), "--output", str(tmp_path / "out")]) == 0
     drawn = {path.stem for path in (tmp_path / "out").glob("*.png")}
     assert drawn == {"overview", "time_series", "spectrum"}

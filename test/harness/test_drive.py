@@ -5,17 +5,14 @@ from __future__ import annotations
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import pytest
-import rclpy
-from conftest import Process, StartProcess
-from rcl_interfaces.srv import GetParameters
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 
+from support.gearbox import Client, Peer, shared_gearbox, start_gearbox
 from support.paths import CONFIG
+from support.processes import Process, StartProcess
 
 # `make demo` plays demo.yaml.
 SHIPPED = sorted(path for path in (CONFIG / "profiles").glob("*.yaml") if path.stem != "demo")
@@ -71,14 +68,29 @@ def profile(tmp_path: Path) -> Path:
     return tmp_path / "profile.yaml"
 
 
+class Shared(NamedTuple):
+    process: Process
+    client: Client
+    parameters: dict[str, Any]
+
+
 @pytest.fixture(scope="module")
-def gearbox(module_ros_domain: int, module_process: StartProcess) -> Iterator[Process]:
+def shared(module_ros_domain: int, module_process: StartProcess) -> Iterator[Shared]:
     """A gearbox that all tests here may drive; it turns at 400 rad/s.
 
-    At a fifth of real time, so that a command that a busy machine holds up is late by little simulated time.
+    Slowed down: on a busy machine the waveform reaches drive up to a second of wall time late, and so do its
+    commands the gearbox.
     """
-    options = ("-p", "operation.speed:=400.0", "-p", "pacing.real_time_factor:=0.2")
-    yield module_process("gearbox", "--ros-args", *options)
+    words = ("operation.speed:=400.0", "pacing.real_time_factor:=0.2")
+    with shared_gearbox(module_process, *words) as (process, client, parameters):
+        yield Shared(process, client, parameters)
+
+
+@pytest.fixture
+def gearbox(shared: Shared) -> Process:
+    """It has just begun anew with the parameters it was started with."""
+    shared.client.put_back(shared.parameters)
+    return shared.process
 
 
 def drive(process: StartProcess, profile: Path, text: str, *options: str) -> Process:
@@ -128,47 +140,33 @@ def test_a_reset_before_time_0_brings_back_the_commands_of_the_parameters(
     assert run.wait() == 0, run.output
 
 
-def real_time_factor(node: str) -> float:
-    """The parameter as ``node`` tells it."""
-    context = Context()
-    rclpy.init(context=context)
-    try:
-        asking = Node("asking", context=context)
-        client = asking.create_client(GetParameters, f"{node}/get_parameters")
-        assert client.wait_for_service(timeout_sec=30.0)
-        answer = client.call_async(GetParameters.Request(names=["pacing.real_time_factor"]))
-        executor = SingleThreadedExecutor(context=context)
-        executor.add_node(asking)
-        executor.spin_until_future_complete(answer, timeout_sec=30.0)
-        return float(answer.result().values[0].double_value)
-    finally:
-        context.try_shutdown()
+def configured(parameters: str) -> str:
+    """Text of a profile with these parameters."""
+    return CONFIGURED.replace("PARAMETERS", parameters)
 
 
-def test_parameters_are_set_before_the_start_all_or_none(
-    ros_domain: int, process: StartProcess, profile: Path
+def test_parameters_are_set_before_the_start(ros_domain: int, process: StartProcess, profile: Path) -> None:
+    start_gearbox(process, remap=["__ns:=/rig", "__node:=left"])
+    run = drive(
+        process, profile, configured("pacing.real_time_factor: 0.5"), "--node", "rig/left", "--wait", "60"
+    )
+    assert run.wait() == 0, run.output
+    with Peer("asking", "/rig/left") as asking:
+        assert asking.get("pacing.real_time_factor") == 0.5
+
+
+def test_parameters_of_which_one_is_refused_are_not_set(
+    gearbox: Process, shared: Shared, process: StartProcess, profile: Path
 ) -> None:
-    process("gearbox", "--ros-args", "-r", "__ns:=/rig", "-r", "__node:=left")
-    options = ("--node", "rig/left", "--wait", "60")
-
-    def text(parameters: str) -> str:
-        return CONFIGURED.replace("PARAMETERS", parameters)
-
-    run = drive(process, profile, text("pacing.real_time_factor: 1"), *options)
-    assert run.wait() == 0, run.output
-    run = drive(process, profile, text("pacing.real_time_factor: 0.5"), *options)
-    assert run.wait() == 0, run.output
-    assert real_time_factor("/rig/left") == 0.5
-
     report = profile.with_suffix(".xml")
-    refused = text("pacing.real_time_factor: 0.25, operation.speed_limit: -1.0")
-    run = drive(process, profile, refused, *options, "--junit", str(report))
+    text = configured("pacing.real_time_factor: 0.25, operation.speed_limit: -1.0")
+    run = drive(process, profile, text, "--wait", "60", "--junit", str(report))
     assert run.wait() == 1, run.output
     (line,) = run.stderr.splitlines()
-    assert line.startswith("drive: error: /rig/left refused the profile's parameters: ")
+    assert line.startswith("drive: error: /gearbox refused the profile's parameters: ")
     assert "operation.speed_limit" in line
     assert "0 commands published" in run.stdout
-    assert real_time_factor("/rig/left") == 0.5
+    assert shared.client.changeable() == shared.parameters
     (suite,) = ElementTree.parse(report).getroot()
     assert [[child.tag for child in case] for case in suite] == [["skipped"], ["error"]]
     assert suite[-1][0].get("message") == line.removeprefix("drive: error: ")
@@ -203,7 +201,7 @@ def test_an_absent_gearbox_is_told_within_the_wait(
 def test_a_missing_channel_and_a_killed_gearbox_are_told(
     ros_domain: int, process: StartProcess, profile: Path
 ) -> None:
-    gearbox = process("gearbox", "--ros-args", "-p", "waveform_channels:=['time', 'dte']")
+    gearbox = start_gearbox(process, "waveform_channels:=['time', 'dte']")
     run = drive(process, profile, IMPOSSIBLE, "--wait", "60")
     assert run.wait() == 1
     assert "channel load_torque is needed by expectation 'impossible torque'" in run.stderr
@@ -221,7 +219,7 @@ def test_a_missing_channel_and_a_killed_gearbox_are_told(
 def test_the_end_of_the_run_is_told_with_its_reason(
     ros_domain: int, process: StartProcess, profile: Path
 ) -> None:
-    gearbox = process("gearbox", "--ros-args", "-p", "operation.control:=torque")
+    gearbox = start_gearbox(process, "operation.control:=torque")
     run = drive(process, profile, RUNAWAY, "--wait", "60")
     assert run.wait() == 1, run.output + gearbox.output
     (line,) = run.stderr.splitlines()
@@ -229,20 +227,8 @@ def test_the_end_of_the_run_is_told_with_its_reason(
     assert "over-speed" in line
 
 
-@pytest.fixture(scope="module")
-def shipped_gearbox(module_ros_domain: int, module_process: StartProcess) -> Process:
-    """One gearbox for all shipped profiles, which set the parameters that they need.
-
-    Slowed down: on a busy machine the waveform reaches drive up to a second of wall time late, and so do its
-    commands the gearbox.
-    """
-    return module_process(
-        "gearbox", "--ros-args", "-r", "__node:=shipped", "-p", "pacing.real_time_factor:=0.25"
-    )
-
-
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
-def test_a_shipped_profile_holds(shipped_gearbox: Process, process: StartProcess, path: Path) -> None:
-    run = process("drive", path, "--node", "shipped", "--wait", "60")
-    assert run.wait() == 0, run.output + shipped_gearbox.output
+def test_a_shipped_profile_holds(gearbox: Process, process: StartProcess, path: Path) -> None:
+    run = process("drive", path, "--wait", "60")
+    assert run.wait() == 0, run.output + gearbox.output
     assert "\nFAIL" not in run.stdout

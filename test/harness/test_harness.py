@@ -253,10 +253,21 @@ def test_bad_parameters_are_refused_by_name(parameters: object, said: str) -> No
     assert said in str(caught.value)
 
 
-@pytest.mark.parametrize("data", [None, [], {}, {"duration": 0.0}, {"duration": -1.0}, {"speed": []}])
-def test_a_profile_that_plays_nothing_is_refused(data: object) -> None:
-    with pytest.raises(UsageError):
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (None, "the profile is None, must be a mapping"),
+        ([], "the profile is [], must be a mapping"),
+        ({}, "duration is 0 s, must be > 0"),
+        ({"duration": 0.0}, "duration is 0 s, must be > 0"),
+        ({"duration": -1.0}, "duration is -1 s, but an entry ends at 0 s"),
+        ({"speed": []}, "the profile has the unknown key 'speed'"),
+    ],
+)
+def test_a_profile_that_plays_nothing_is_refused(data: object, said: str) -> None:
+    with pytest.raises(UsageError) as caught:
         parse_profile(data)
+    assert said in str(caught.value)
 
 
 def test_duration_covers_every_entry() -> None:
@@ -478,12 +489,16 @@ def test_progress_is_drawn_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -
         assert bool(terminal.getvalue()) is bool(expected)
 
 
-@pytest.mark.parametrize("arguments", [[], ["p.yaml", "--wait", "0"], ["p.yaml", "--timeout", "nan"]])
-def test_bad_usage_exits_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [([], "PROFILE"), (["p.yaml", "--wait", "0"], "--wait"), (["p.yaml", "--timeout", "nan"], "--timeout")],
+)
+def test_bad_usage_exits_2(arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         drive.main(arguments)
     assert caught.value.code == 2
-    assert "drive: error:" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "drive: error:" in error and said in error.splitlines()[-1]
 
 
 def test_a_missing_profile_exits_2_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,13 +8,13 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from conftest import executable
 
 from gear_dynamics_ros.cli import drive
 from gear_dynamics_ros.harness.junit import PLAYED, write_report
 from gear_dynamics_ros.harness.player import Player
 from gear_dynamics_ros.harness.profile import Profile, parse_profile
 from gear_dynamics_ros.harness.results import Result, unreached
+from support.processes import executable
 
 INTERVAL = 1e-5
 

@@ -13,7 +13,7 @@ from gear_dynamics_ros.harness import recorded
 from gear_dynamics_ros.harness.recorded import Change, Reset
 from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.signals import Commands
-from support.played import record
+from support.recordings import record
 
 PARAMETERS = updated(Parameters(), {"operation.speed": 400.0, "operation.control": "torque"})
 CHANGED = {"oil.viscosity": 0.05, "operation.drive_torque": 25.0}

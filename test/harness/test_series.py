@@ -116,11 +116,10 @@ def test_both_interpolations_against_a_search_by_hand(
     series = Series(times, np.array([first, *(value for _, value in rows)]))
     before = max(row for row in range(len(times)) if times[row] <= time)
     assert held(series, time) == series.values[before]
-    after = min(before + 1, len(times) - 1)
-    bounds = sorted((series.values[before], series.values[after]))
-    assert bounds[0] - 1e-6 <= linear(series, time) <= bounds[1] + 1e-6
-    if time == times[before] or before == after:
-        assert linear(series, time) == series.values[before]
+    expected = np.interp(time, times, series.values)
+    assert linear(series, time) == pytest.approx(expected, rel=1e-12, abs=1e-9)
+    assert linear(series, times[before]) == series.values[before]
+    assert linear(series, times[-1] + time) == series.values[-1]
 
 
 def test_load_series_reads_what_numpy_reads(tmp_path: Path) -> None:

@@ -31,9 +31,9 @@ from gear_dynamics_ros.signals import (
     Chunk,
     Commands,
     Counters,
-    Status,
 )
 from gear_dynamics_ros.topics import TOPICS, resolve
+from support.chunks import chunk_of
 
 EPOCH_NS = 1_700_000_000_123_456_789
 COMMANDS = Commands(drive_torque=30.0, load_torque=-4.5, speed=1000.0)
@@ -44,10 +44,9 @@ def synthetic_chunk(rows: int = 7, first: int = 400, columns: int = len(CHANNEL_
     samples = generator.standard_normal((rows, columns))
     samples[:, CHANNEL_NAMES.index("meshing_state")] = -1.0
     angles = generator.standard_normal((rows, 2)) * 1e4
-    counters = Counters(0, 0, 0, 0, 0)
     energies = generator.standard_normal(len(ENERGIES))
     impacts = generator.standard_normal((rows // 3, len(IMPACTS)))
-    return Chunk(first, 10_000, samples, angles, energies, impacts, COMMANDS, counters, Status.RUNNING, "")
+    return chunk_of(first, samples, angles=angles, energies=energies, impacts=impacts, commands=COMMANDS)
 
 
 def decoded(chunk: Chunk, parameters: Parameters | None = None) -> dict[str, object]:

@@ -13,12 +13,12 @@ from typing import NamedTuple
 
 import pytest
 from catkin_pkg.package import parse_package
-from conftest import executable
 
 import gear_dynamics_ros
 from gear_dynamics_ros import resources
 from gear_dynamics_ros.errors import GearboxError
 from support.paths import ROOT
+from support.processes import executable
 
 PACKAGE = "gear_dynamics_ros"
 EXECUTABLES = ("analyze", "drive", "gearbox", "replay", "simulate")

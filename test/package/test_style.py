@@ -5,9 +5,9 @@ from __future__ import annotations
 import subprocess
 
 import pytest
-from conftest import executable
 
 from support.paths import ROOT
+from support.processes import executable
 
 
 @pytest.mark.parametrize(

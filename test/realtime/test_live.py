@@ -14,6 +14,7 @@ from gear_dynamics_ros.live import Live
 from gear_dynamics_ros.messages import Encoder
 from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.run import Run
+from support.processes import until
 
 # Half a second of simulated time from the start to the speed limit.
 RUNNING_AWAY = {"operation.control": "torque", "operation.load_torque": 0.0}
@@ -211,8 +212,7 @@ def test_what_was_asked_behind_something_that_fails_is_done(start):
     live.run.attach(Broken())
     live.post(list)
     callers[1].start()
-    while len(live._requests) < 2:
-        time.sleep(0.001)
+    until(lambda: len(live._requests) == 2, "both are asked")
     hold.set()
     for caller in callers:
         caller.join(60.0)

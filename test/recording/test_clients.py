@@ -14,7 +14,6 @@ from typing import IO, Any
 
 import pytest
 from ament_index_python import get_package_share_path
-from conftest import Rerun
 from mcap.reader import NonSeekingReader, SeekingReader, make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
@@ -22,6 +21,7 @@ from rosbags.highlevel import AnyReader
 from gear_dynamics_ros.messages import Record, deserialize
 from gear_dynamics_ros.topics import TOPICS, resolve
 from support.every_topic import Made, full_name, leaves, record_everything, sequences
+from support.rerun_files import Rerun
 
 
 @pytest.fixture(scope="module")

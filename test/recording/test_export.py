@@ -8,104 +8,56 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pytest
-from conftest import Process, StartProcess
 from pyarrow import parquet
 
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.cli.replay import main as replay_main
-from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.messages import Encoder
 from gear_dynamics_ros.parameters import Parameters, dump, updated
 from gear_dynamics_ros.recording.export import export
 from gear_dynamics_ros.recording.reader import BLOCK_SAMPLES
 from gear_dynamics_ros.recording.table_files import ROW_GROUP
-from gear_dynamics_ros.recording.writer import Recorder
-from gear_dynamics_ros.recordings import RecorderSink
 from gear_dynamics_ros.run import Run
 from gear_dynamics_ros.signals import (
     CHANNEL_NAMES,
     CHANNELS,
     ENERGIES,
     IMPACTS,
-    Chunk,
     Commands,
-    Counters,
-    Status,
 )
+from support.chunks import ROWS, record_odd
+from support.processes import Process, StartProcess, until
+from support.recordings import record
 
-ROWS = 400
 FORMATS = ("parquet", "csv", "npy")
-COMMANDS = Commands(30.0, 30.0, 1623.156)
-# The extremes of a double, and two NaN that are not the usual one.
-ODD = np.concatenate(
-    [
-        [0.0, -0.0, np.inf, -np.inf, 5e-324, -1.7976931348623157e308, 0.1, 1 / 3, 1e22, np.nan],
-        np.array([0x7FF8000000001234, 0xFFF8000000000001], dtype=np.uint64).view(np.float64),
-    ]
-)
 Rows = np.ndarray[Any, Any]
-
-
-def make_chunk(number: int) -> Chunk:
-    """Chunk of numbers that hardly repeat and some odd ones; its time is that of the samples."""
-    first = number * ROWS
-    samples = np.random.default_rng(number).standard_normal((ROWS, len(CHANNEL_NAMES)))
-    samples[:, 0] = (first + np.arange(ROWS)) * 1e-5
-    samples[: len(ODD), 1] = ODD
-    return Chunk(
-        first_sample=first,
-        interval_ns=10_000,
-        samples=samples,
-        angles=np.zeros((ROWS, 2)),
-        energies=np.full(len(ENERGIES), float(number)),
-        impacts=np.zeros((0, len(IMPACTS))),
-        commands=COMMANDS,
-        counters=Counters(0, 0, 0, 0, 0),
-        status=Status.RUNNING,
-        message="",
-    )
-
-
-def record(path: Path, chunks: int) -> Path:
-    recorder = Recorder(path, Parameters(), {"sample": 0}, 1_000_000_000)
-    encoder = Encoder(Parameters(), 1_000_000_000)
-    for number in range(chunks):
-        recorder.write(encoder.chunk(make_chunk(number)))
-    recorder.close()
-    assert recorder.error is None
-    return path
 
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """22 MB: several blocks and row groups."""
-    return record(tmp_path_factory.mktemp("recorded") / "bag", 250)
+    return record_odd(tmp_path_factory.mktemp("recorded") / "bag", 250)
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run with commands, a changed parameter, a reset and impacts."""
     path = tmp_path_factory.mktemp("simulated") / "run"
-    engine = Engine(Parameters())
-    recorder = Recorder(path, engine.parameters, engine.checkpoint(), 0)
-    run = Run(engine, Encoder(engine.parameters, 0), [RecorderSink(recorder, engine)])
-    run.step()
-    run.step(Commands(30.0, 55.0, 1700.0))
-    run.change(updated(engine.parameters, {"oil.viscosity": 0.03}))
-    run.step()
-    run.reset("to begin, again")
-    run.step(Commands(30.0, -20.0, 1500.0))
-    run.finish("as asked")
-    run.close()
-    return path
+
+    def act(run: Run, chunk: int) -> Commands | None:
+        if chunk == 2:
+            run.change(updated(run.engine.parameters, {"oil.viscosity": 0.03}))
+        if chunk == 3:
+            run.reset("to begin, again")
+        return {1: Commands(30.0, 55.0, 1700.0), 3: Commands(30.0, -20.0, 1500.0)}.get(chunk)
+
+    return record(path, Parameters(), 4, act).path
 
 
 def read_csv(path: Path) -> dict[str, list[str]]:
@@ -385,10 +337,8 @@ def begin_export(process: StartProcess, bag: Path, path: Path) -> Process:
     """An export that is under way."""
     exporting = process("replay", "export", bag, "--output", path)
     part = path.with_name(path.name + ".part")
-    deadline = time.monotonic() + 60.0
-    while not (part.exists() and part.stat().st_size):
-        assert exporting.returncode is None and time.monotonic() < deadline, exporting.output
-        time.sleep(0.01)
+    until(lambda: part.exists() and part.stat().st_size, "something is exported")
+    assert exporting.returncode is None, exporting.output
     return exporting
 
 
@@ -442,7 +392,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_memory_does_not_grow_with_the_recording(tmp_path: Path, suffix: str) -> None:
-    long = record(tmp_path / "long", 600)  # 54 MB, of which a third is exported to warm up
+    long = record_odd(tmp_path / "long", 600)  # 54 MB, of which a third is exported to warm up
     done = subprocess.run(
         [sys.executable, "-c", GROWTH, str(long), str(tmp_path), suffix],
         capture_output=True,

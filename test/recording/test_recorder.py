@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
-import sys
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,31 +17,21 @@ from gear_dynamics_ros.messages import Encoder
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.recording import writer
 from gear_dynamics_ros.recording.ring import Ring
-from gear_dynamics_ros.recording.writer import Recorder
-from gear_dynamics_ros.recordings import RecorderSink, Recordings
+from gear_dynamics_ros.recordings import Recordings
 from gear_dynamics_ros.run import Run
 from gear_dynamics_ros.session import Session
+from support.processes import run_python, until
+from support.recordings import Recorded
 
 CHUNK = 200  # samples
 
 
-class Recorded:
-    """A run, its recorder, and what follows from parameters."""
-
-    def __init__(self, path: Path, **values: object) -> None:
-        self.parameters = Parameters.from_flat(values)
-        self.engine = Engine(self.parameters)
-        self.recorder = Recorder(path, self.parameters, self.engine.checkpoint(), 0)
-        sink = RecorderSink(self.recorder, self.engine)
-        self.run = Run(self.engine, Encoder(self.parameters, 0), [sink])
-
-    def steps(self, count: int) -> None:
-        for _ in range(count):
-            self.run.step()
+def begin(path: Path, **values: object) -> Recorded:
+    return Recorded(path, Parameters.from_flat(values))
 
 
 def test_checkpoints_lie_an_interval_apart_and_hold_what_a_checkpoint_file_does(tmp_path: Path) -> None:
-    made = Recorded(tmp_path / "bag", **{"recording.checkpoint_interval": 0.005})
+    made = begin(tmp_path / "bag", **{"recording.checkpoint_interval": 0.005})
     made.steps(10)
     made.run.close()
     (part,) = recording.open(tmp_path / "bag").parts
@@ -60,7 +47,7 @@ def test_checkpoints_lie_an_interval_apart_and_hold_what_a_checkpoint_file_does(
 
 
 def test_no_checkpoints_where_none_are_wanted(tmp_path: Path) -> None:
-    made = Recorded(tmp_path / "bag", **{"recording.checkpoint_interval": 0.0})
+    made = begin(tmp_path / "bag", **{"recording.checkpoint_interval": 0.0})
     made.steps(3)
     made.run.close()
     (part,) = recording.open(tmp_path / "bag").parts
@@ -68,7 +55,7 @@ def test_no_checkpoints_where_none_are_wanted(tmp_path: Path) -> None:
 
 
 def test_a_new_file_after_a_simulated_time(tmp_path: Path) -> None:
-    made = Recorded(tmp_path / "bag", **{"recording.split_duration": 0.01})
+    made = begin(tmp_path / "bag", **{"recording.split_duration": 0.01})
     made.steps(12)
     made.run.close()
     bag = recording.open(tmp_path / "bag")
@@ -78,7 +65,7 @@ def test_a_new_file_after_a_simulated_time(tmp_path: Path) -> None:
 
 def test_a_new_file_at_a_size(tmp_path: Path) -> None:
     size = 2_500_000
-    made = Recorded(tmp_path / "bag", **{"recording.split_size": size, "solver.step": 1e-5})
+    made = begin(tmp_path / "bag", **{"recording.split_size": size, "solver.step": 1e-5})
     made.steps(300)
     made.run.close()
     bag = recording.open(tmp_path / "bag")
@@ -91,7 +78,7 @@ def test_a_new_file_at_a_size(tmp_path: Path) -> None:
 
 
 def test_a_split_that_waits_is_not_asked_for_twice(tmp_path: Path) -> None:
-    made = Recorded(tmp_path / "bag")
+    made = begin(tmp_path / "bag")
     made.steps(1)
     # the recorder's thread can't take anything while its lock is held
     with made.recorder._changed:
@@ -108,7 +95,7 @@ def test_a_split_size_that_is_no_file_is_refused() -> None:
 
 def test_too_little_room_is_refused_at_the_start(tmp_path: Path) -> None:
     with pytest.raises(GearboxError, match=r"less than recording\.minimum_free = 1\.1.*: free space"):
-        Recorded(tmp_path / "bag", **{"recording.minimum_free": 1 << 50})
+        begin(tmp_path / "bag", **{"recording.minimum_free": 1 << 50})
     assert list(tmp_path.iterdir()) == []
 
 
@@ -128,7 +115,7 @@ def test_recording_stops_in_time_before_the_disk_is_full(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(writer, "FLUSH_SECONDS", 0.01)
-    made = Recorded(tmp_path / "bag", **{"solver.step": 1e-5})
+    made = begin(tmp_path / "bag", **{"solver.step": 1e-5})
     made.steps(50)
     made.recorder._disk._minimum = 1 << 60
     error = until_stopped(made)
@@ -148,7 +135,7 @@ def test_a_folder_that_is_taken_away_is_noticed(
 ) -> None:
     monkeypatch.setattr(writer, "FLUSH_SECONDS", 0.01)
     path = tmp_path / "bag"
-    made = Recorded(path, **{"solver.step": 1e-5})
+    made = begin(path, **{"solver.step": 1e-5})
     made.steps(10)
     if what == "file":
         (path / "bag_0.mcap").unlink()
@@ -168,9 +155,9 @@ def test_a_folder_that_is_taken_away_is_noticed(
 FULL_AT_A_SPLIT = """
 import resource, sys, time
 from pathlib import Path
-sys.path.insert(0, {tests!r})
-from test_recorder import *
-made = Recorded(Path(sys.argv[1]), **{{"solver.step": 1e-5}})
+from gear_dynamics_ros.parameters import Parameters
+from support.recordings import Recorded
+made = Recorded(Path(sys.argv[1]), Parameters.from_flat({"solver.step": 1e-5}))
 made.steps(20)
 made.recorder.split(made.engine.checkpoint(), made.parameters)
 while made.recorder.stats.parts < 2:
@@ -185,9 +172,8 @@ print(made.recorder.error)
 
 
 def test_a_disk_that_is_full_at_a_split_leaves_the_parts_before(tmp_path: Path) -> None:
-    code = FULL_AT_A_SPLIT.format(tests=str(Path(__file__).parent))
     path = tmp_path / "bag"
-    done = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, timeout=120)
+    done = run_python(FULL_AT_A_SPLIT, path)
     assert done.returncode == 0, done.stderr
     assert "File too large" in done.stdout
     first = recording.open(path / "bag_0.mcap")
@@ -196,7 +182,7 @@ def test_a_disk_that_is_full_at_a_split_leaves_the_parts_before(tmp_path: Path) 
 
 def test_flushed_is_what_a_reader_finds_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(writer, "FLUSH_SECONDS", 0.05)
-    made = Recorded(tmp_path / "bag", **{"solver.step": 1e-5})
+    made = begin(tmp_path / "bag", **{"solver.step": 1e-5})
     for _ in range(20):
         made.steps(20)
         flushed = made.recorder.stats.flushed
@@ -250,7 +236,7 @@ def test_a_ring_forgets(tmp_path: Path) -> None:
 
 
 def test_a_choice_of_topics_verifies_as_far_as_it_goes(tmp_path: Path) -> None:
-    made = Recorded(tmp_path / "bag", **{"recording.topics": ["waveform", "energy"]})
+    made = begin(tmp_path / "bag", **{"recording.topics": ["waveform", "energy"]})
     made.steps(5)
     made.run.close()
     bag = recording.open(tmp_path / "bag")
@@ -261,7 +247,7 @@ def test_a_choice_of_topics_verifies_as_far_as_it_goes(tmp_path: Path) -> None:
 
 
 def test_without_the_waveform_there_is_nothing_to_verify(tmp_path: Path) -> None:
-    made = Recorded(tmp_path / "bag", **{"recording.topics": ["dte"]})
+    made = begin(tmp_path / "bag", **{"recording.topics": ["dte"]})
     made.steps(5)
     made.run.close()
     bag = recording.open(tmp_path / "bag")
@@ -273,20 +259,20 @@ def test_without_the_waveform_there_is_nothing_to_verify(tmp_path: Path) -> None
 NOT_EVEN_A_BEGINNING = """
 import resource, sys
 from pathlib import Path
-sys.path.insert(0, {tests!r})
-from test_recorder import *
+from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.parameters import Parameters
+from support.recordings import Recorded
 resource.setrlimit(resource.RLIMIT_FSIZE, (0, resource.RLIM_INFINITY))
 try:
-    Recorded(Path(sys.argv[1]))
+    Recorded(Path(sys.argv[1]), Parameters())
 except GearboxError as error:
     print(error)
 """
 
 
 def test_a_disk_on_which_nothing_fits_is_told_and_nothing_stays(tmp_path: Path) -> None:
-    code = NOT_EVEN_A_BEGINNING.format(tests=str(Path(__file__).parent))
     path = tmp_path / "bag"
-    done = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, timeout=120)
+    done = run_python(NOT_EVEN_A_BEGINNING, path)
     assert done.returncode == 0, done.stderr
     assert f"can't write in '{path}': File too large" in done.stdout
     assert list(tmp_path.iterdir()) == []
@@ -295,9 +281,10 @@ def test_a_disk_on_which_nothing_fits_is_told_and_nothing_stays(tmp_path: Path) 
 FULL_MEANWHILE = """
 import resource, sys
 from pathlib import Path
-sys.path.insert(0, {tests!r})
-from test_recorder import *
-made = Recorded(Path(sys.argv[1]), **{{"solver.step": 1e-5, "recording.minimum_free": 0}})
+from gear_dynamics_ros.parameters import Parameters
+from support.recordings import Recorded
+values = {"solver.step": 1e-5, "recording.minimum_free": 0}
+made = Recorded(Path(sys.argv[1]), Parameters.from_flat(values))
 handed = []
 write = made.recorder.write
 made.recorder.write = lambda records: (handed.extend(records), write(records))
@@ -314,10 +301,8 @@ print(made.recorder.error, len(handed), stats.messages, stats.lost, sep="|")
 
 @pytest.mark.parametrize(("first", "limit"), [("", 1_500_000), ("", 3_300_000), ("split", 600_000)])
 def test_what_a_full_disk_took_is_counted_to_the_message(tmp_path: Path, first: str, limit: int) -> None:
-    code = FULL_MEANWHILE.format(tests=str(Path(__file__).parent))
     path = tmp_path / "bag"
-    arguments = [sys.executable, "-c", code, path, first, str(limit)]
-    done = subprocess.run(arguments, capture_output=True, text=True, timeout=120)
+    done = run_python(FULL_MEANWHILE, path, first, limit)
     assert done.returncode == 0, done.stderr
     error, *counts = done.stdout.strip().split("|")
     handed, written, lost = map(int, counts)
@@ -340,8 +325,7 @@ def test_a_recording_that_stopped_makes_way_for_another(session: Session, tmp_pa
     shutil.rmtree(tmp_path / "bag")
     stopped = session.recordings.current
     assert stopped is not None
-    while stopped.error is None:
-        time.sleep(0.01)
+    until(lambda: stopped.error, "the recorder notices")
     with pytest.raises(GearboxError, match="has gone"):
         session.split()
     (tmp_path / "bag").mkdir()

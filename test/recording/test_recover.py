@@ -13,7 +13,6 @@ import struct
 import subprocess
 import sys
 import tempfile
-import time
 import zlib
 from collections import Counter
 from collections.abc import Sequence
@@ -41,7 +40,6 @@ from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages import (
     Encoder,
-    Record,
     deserialize,
     serialize,
     waveform_message,
@@ -59,14 +57,13 @@ from gear_dynamics_ros.recording.survey import (
     read_metadata,
     survey,
 )
-from gear_dynamics_ros.recording.writer import Recorder
-from gear_dynamics_ros.recordings import RecorderSink
 from gear_dynamics_ros.run import Run
-from gear_dynamics_ros.signals import Chunk as Samples
 from gear_dynamics_ros.signals import Commands
 from gear_dynamics_ros.topics import TOPICS, resolve
+from support.processes import run_python
+from support.recordings import Recorded
+from support.sinks import Keeper
 
-TESTS = Path(__file__).parent
 EPOCH_NS = 1_700_000_000_123_450_000
 INTERVAL_NS = 10_000
 CHANNELS = ("time", "dte", "mesh_force", "driving_x", "driving_speed")
@@ -77,29 +74,13 @@ SPLITS = (150, 300)
 WAVEFORM = resolve(TOPICS["waveform"])
 
 
-class Collector:
-    """Sink that keeps all messages."""
-
-    def __init__(self) -> None:
-        self.records: list[Record] = []
-
-    def write(self, _: Samples | None, records: Sequence[Record]) -> None:
-        self.records.extend(records)
-
-    def close(self) -> None:
-        pass
-
-
 def record(path: Path, chunks: int, splits: Sequence[int] = ()) -> Path:
-    engine = Engine(PARAMETERS)
-    recorder = Recorder(path, PARAMETERS, engine.checkpoint(), EPOCH_NS)
-    run = Run(engine, Encoder(PARAMETERS, EPOCH_NS), [RecorderSink(recorder, engine)])
+    made = Recorded(path, PARAMETERS, EPOCH_NS)
     for number in range(chunks):
         if number in splits:
-            recorder.split(run.checkpoint(), engine.parameters)
-        run.step(Commands(30.0, 25.0, 1600.0) if number == 1 else None)
-    run.close()
-    assert recorder.error is None
+            made.sink.split()
+        made.run.step(Commands(30.0, 25.0, 1600.0) if number == 1 else None)
+    made.close()
     return path
 
 
@@ -630,46 +611,49 @@ def test_an_interrupted_recovery_leaves_nothing_that_passes_for_complete(bag: Pa
         recover(bag, tmp_path / "out")
 
 
-def record_until_killed(path: Path, pipe: int) -> None:
-    engine = Engine(PARAMETERS)
-    recorder = Recorder(path, PARAMETERS, engine.checkpoint(), EPOCH_NS)
-    run = Run(engine, Encoder(PARAMETERS, EPOCH_NS), [RecorderSink(recorder, engine)])
+FORK_AND_KILL = """
+# Let 20 processes record and kill each at a random moment; print what each had on the disk.
+import json, os, random, signal, struct, sys, time
+from pathlib import Path
+from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.parameters import Parameters
+from support.recordings import Recorded
+epoch_ns, channels = int(sys.argv[2]), sys.argv[3].split(",")
+parameters = Parameters.from_flat({"waveform_channels": channels})
+Engine(parameters).advance(200)  # compiles; no thread may run when processes are forked
+generator = random.Random(5)
+
+def record_until_killed(path, pipe):
+    made = Recorded(path, parameters, epoch_ns)
+    os.write(pipe, struct.pack("<q", 0))
     for _ in range(1000):
-        run.step()
-        os.write(pipe, struct.pack("<q", recorder.stats.flushed))
+        made.steps(1)
+        os.write(pipe, struct.pack("<q", made.recorder.stats.flushed))
         time.sleep(0.002)
 
-
-def fork_and_kill(folder: str) -> None:
-    """Let 20 processes record and kill each at a random moment; print what each had on the disk."""
-    Engine(PARAMETERS).advance(ROWS)  # compiles; no thread may run when processes are forked
-    generator = random.Random(5)
-    for number in range(20):
-        path = Path(folder) / f"bag{number}"
-        reading, writing = os.pipe()
-        child = os.fork()
-        if not child:
-            record_until_killed(path, writing)
-            os._exit(1)
-        time.sleep(generator.uniform(0.2, 1.5))
-        os.kill(child, signal.SIGKILL)
-        _, status = os.waitpid(child, 0)
-        os.close(writing)
-        with open(reading, "rb") as stream:
-            told = stream.read()
-        counts = struct.unpack(f"<{len(told) // 8}q", told)
-        print(json.dumps([str(path), os.waitstatus_to_exitcode(status), max(counts, default=0)]), flush=True)
+for number in range(20):
+    path = Path(sys.argv[1]) / f"bag{number}"
+    reading, writing = os.pipe()
+    child = os.fork()
+    if not child:
+        record_until_killed(path, writing)
+        os._exit(1)
+    os.read(reading, 8)  # the recording has begun
+    time.sleep(generator.uniform(0.0, 1.3))
+    os.kill(child, signal.SIGKILL)
+    _, status = os.waitpid(child, 0)
+    os.close(writing)
+    with open(reading, "rb") as stream:
+        told = stream.read()
+    counts = struct.unpack(f"<{len(told) // 8}q", told)
+    print(json.dumps([str(path), os.waitstatus_to_exitcode(status), max(counts, default=0)]), flush=True)
+"""
 
 
 def test_killed_at_random_moments_nothing_that_was_on_the_disk_is_missing(tmp_path: Path) -> None:
-    code = (
-        "import sys; sys.path.insert(0, sys.argv[1]); import test_recover as t; t.fork_and_kill(sys.argv[2])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code, TESTS, tmp_path], stdout=subprocess.PIPE, text=True, timeout=300
-    )
-    assert done.returncode == 0
-    collector = Collector()
+    done = run_python(FORK_AND_KILL, tmp_path, EPOCH_NS, ",".join(CHANNELS), timeout=300.0)
+    assert done.returncode == 0, done.stderr
+    collector = Keeper()
     run = Run(Engine(PARAMETERS), Encoder(PARAMETERS, EPOCH_NS), [collector])
     for _ in range(1000):
         run.step()

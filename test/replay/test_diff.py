@@ -18,42 +18,27 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from PIL import Image
-from test_export import record
 
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.analysis.comparison import Comparison, Difference
 from gear_dynamics_ros.cli.replay import main as replay_main
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.messages import Encoder
-from gear_dynamics_ros.parameters import Parameters, updated
+from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.recording.pairing import BY_START, BY_TIME, pair, side_by_side
 from gear_dynamics_ros.recording.writer import Recorder
-from gear_dynamics_ros.recordings import RecorderSink
-from gear_dynamics_ros.run import Run
 from gear_dynamics_ros.samples import Samples
 from gear_dynamics_ros.signals import CHANNEL_NAMES, Commands
+from support.chunks import record_odd
+from support.recordings import SHORT, following, record
 
 NAMES = ("dte", "mesh_phase", "load_torque")
-SHORT = {"solver.chunk": 3e-4}  # 30 samples
 CHANGED = {"oil.viscosity": 0.0229}
 
 
 def perform(path: Path, deeds: Sequence[Any], chosen: dict[str, Any], late: int = 0) -> Path:
     """A run with commands and changes of parameters between its chunks, recorded after ``late`` of them."""
-    parameters = Parameters.from_flat(SHORT | chosen)
-    engine = Engine(parameters)
-    run = Run(engine, Encoder(parameters, 0), [])
-    for number, deed in enumerate(deeds):
-        if number == late:
-            recorder = Recorder(path, engine.parameters, run.checkpoint(), 0)
-            run.attach(RecorderSink(recorder, run.engine))
-        if isinstance(deed, dict):
-            run.change(updated(engine.parameters, deed))
-        run.step(deed if isinstance(deed, Commands) else None)
-    run.finish("as asked")
-    run.close()
-    assert recorder.error is None
-    return path
+    return record(path, Parameters.from_flat(SHORT | chosen), len(deeds), following(deeds), late).path
 
 
 @pytest.fixture(scope="module")
@@ -329,7 +314,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 
 
 def test_memory_does_not_grow_with_the_recordings(tmp_path: Path) -> None:
-    long = record(tmp_path / "long", 600)  # 54 MB
+    long = record_odd(tmp_path / "long", 600)  # 54 MB
     done = subprocess.run(
         [sys.executable, "-c", GROWTH, str(long), str(long)],
         capture_output=True,
@@ -344,7 +329,7 @@ def test_memory_does_not_grow_with_the_recordings(tmp_path: Path) -> None:
 def test_a_broken_off_recording_is_compared_as_far_as_it_goes(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    whole = record(tmp_path / "whole", 60)
+    whole = record_odd(tmp_path / "whole", 60)
     broken = tmp_path / "broken.mcap"
     content = (whole / "whole_0.mcap").read_bytes()
     broken.write_bytes(content[: len(content) // 2])

@@ -8,12 +8,11 @@ from pathlib import Path
 
 import pytest
 from std_msgs.msg import Float64
-from std_srvs.srv import SetBool, Trigger
-from test_node import Client, gearbox
 
 from gear_dynamics_ros import recording, replay
 from gear_dynamics_ros.recording.recover import recover
 from gear_dynamics_ros.signals import CHANGE, PAUSE, RESET, RESTORE, RESUME
+from support.gearbox import Client, start_gearbox
 
 PACES = {
     "flat out": ("pacing.real_time_factor:=0", "solver.chunk:=0.002"),
@@ -39,12 +38,12 @@ def trouble(client: Client, rng: random.Random) -> None:
         "oil": lambda: client.put("oil.viscosity", numbers[3] / 1000.0),
         "torque": lambda: client.put("operation.control", "torque"),
         "governed": lambda: client.put("operation.control", "speed"),
-        "split": lambda: client.call(Trigger, "split"),
-        "reset": lambda: client.call(Trigger, "reset"),
-        "save": lambda: client.call(Trigger, "save_checkpoint"),
-        "halt": lambda: client.call(SetBool, "pause", SetBool.Request(data=True)),
-        "step": lambda: client.call(Trigger, "step"),
-        "go": lambda: client.call(SetBool, "pause", SetBool.Request(data=False)),
+        "split": lambda: client.trigger("split"),
+        "reset": lambda: client.trigger("reset"),
+        "save": lambda: client.trigger("save_checkpoint"),
+        "halt": lambda: client.switch("pause", True),
+        "step": lambda: client.trigger("step"),
+        "go": lambda: client.switch("pause", False),
     }
     names = list(deeds)
     paused = ("halt", "step", "go")
@@ -53,7 +52,7 @@ def trouble(client: Client, rng: random.Random) -> None:
     at = rng.randrange(len(order))
     for name in [*order[:at], *paused, *order[at:], "restore", "split"]:
         if name == "restore":
-            assert client.call(Trigger, "restore_checkpoint").success
+            assert client.trigger("restore_checkpoint").success
         else:
             deeds[name]()
         if name not in ("halt", "step"):
@@ -62,7 +61,7 @@ def trouble(client: Client, rng: random.Random) -> None:
 
 @pytest.mark.parametrize("pace", PACES)
 def test_a_recording_of_the_node_verifies(ros_domain, process, tmp_path: Path, pace: str) -> None:
-    node = gearbox(
+    node = start_gearbox(
         process,
         f"recording.path:={tmp_path / 'bag'}",
         f"checkpoint.path:={tmp_path / 'state.json'}",
@@ -73,14 +72,11 @@ def test_a_recording_of_the_node_verifies(ros_domain, process, tmp_path: Path, p
         "operation.load_viscous:=0.02",  # torques that don't balance must not run away
         *PACES[pace],
     )
-    client = Client()
-    try:
+    with Client() as client:
         client.hear("waveform", 2)
         trouble(client, random.Random(pace))
         node.signal(signal.SIGINT)
         assert node.wait() == 0, node.output
-    finally:
-        client.close()
     bag = recording.open(tmp_path / "bag")
     assert bag.complete and len(bag.parts) >= 3
     assert {event.kind for event in bag.events} >= {CHANGE, PAUSE, RESUME, RESET, RESTORE}
@@ -94,25 +90,21 @@ def test_a_recording_of_the_node_verifies(ros_domain, process, tmp_path: Path, p
 
 
 def test_what_a_killed_node_leaves_is_recovered_and_verifies(ros_domain, process, tmp_path: Path) -> None:
-    node = gearbox(
+    node = start_gearbox(
         process,
         f"recording.path:={tmp_path / 'bag'}",
         "recording.checkpoint_interval:=0.1",
         "recording.split_duration:=0.5",
         "pacing.real_time_factor:=0.5",
     )
-    client = Client()
-    try:
+    with Client() as client:
         client.hear("waveform", 100)
         client.command("load_torque_command", Float64(data=40.0))
         flushed = 0
         while flushed < 5000:
-            values = {entry.key: entry.value for entry in client.statuses()["gearbox: recorder"].values}
-            flushed = int(values["flushed"])
+            flushed = int(client.status("recorder")[1]["flushed"])
         node.signal(signal.SIGKILL)
         assert node.wait() == -signal.SIGKILL
-    finally:
-        client.close()
     assert not recording.open(tmp_path / "bag").complete
     recover(tmp_path / "bag", tmp_path / "whole")
     bag = recording.open(tmp_path / "whole")

@@ -2,31 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import signal
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
-import rclpy
-from conftest import Process, StartProcess
-from rcl_interfaces.srv import GetParameters
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, String
-from std_srvs.srv import SetBool, Trigger
+from std_msgs.msg import Float64
 
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.messages import applied_commands
-from gear_dynamics_ros.node_topics import quality
 from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.signals import Commands
-from gear_dynamics_ros.topics import TOPICS, resolve
-from support.played import record
+from support.gearbox import PATIENCE, Client, start_gearbox
+from support.processes import Process, StartProcess
+from support.recordings import record
 
 # A viscous load, so that no command makes the speed run away.
 SETTINGS = {
@@ -37,8 +27,6 @@ SETTINGS = {
     "operation.load_viscous": 0.1,
 }
 PARAMETERS = updated(Parameters(), SETTINGS)
-OPTIONS = ("--ros-args", *(word for item in SETTINGS.items() for word in ("-p", "{}:={}".format(*item))))
-PATIENCE = 60.0
 PROFILE = """
 duration: 0.3
 commands:
@@ -48,92 +36,59 @@ commands:
 """
 
 
-class Operator:
-    """Calls the gearbox's services and hears its events and the commands in force."""
-
-    def __init__(self) -> None:
-        self.context = Context()
-        rclpy.init(context=self.context)
-        self.node = Node("operator", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        self.events: list[dict[str, Any]] = []
-        self.in_force: list[Commands] = []
-        kinds = {"event": (String, self._hear), "applied_command": (JointState, self._apply)}
-        for key, (kind, take) in kinds.items():
-            every = quality(TOPICS[key])
-            every.depth = 100
-            self.node.create_subscription(kind, resolve(TOPICS[key]), take, every)
-        load = TOPICS["load_torque_command"]
-        self.load = self.node.create_publisher(Float64, resolve(load), quality(load))
-
-    def _hear(self, message: String) -> None:
-        self.events.append(json.loads(message.data))
-
-    def _apply(self, message: JointState) -> None:
-        self.in_force.append(applied_commands(message))
-
-    def until(self, condition: Callable[[], bool]) -> None:
-        deadline = time.monotonic() + PATIENCE
-        while not condition():
-            assert time.monotonic() < deadline, "the awaited never came"
-            self.executor.spin_once(timeout_sec=0.05)
-
-    def call(self, kind: Any, name: str, request: Any = None) -> Any:
-        client = self.node.create_client(kind, f"/gearbox/{name}")
-        assert client.wait_for_service(PATIENCE)
-        future = client.call_async(request or kind.Request())
-        self.until(future.done)
-        self.node.destroy_client(client)
-        return future.result()
+class Operator(Client):
+    """The shared gearbox's operator."""
 
     def told(self, kind: str) -> bool:
         """Whether an event of that kind was heard."""
-        return any(event["event"] == kind for event in self.events)
+        return any(event["event"] == kind for event in self.events())
 
     def paused_by(self, run: Process) -> None:
         """Return when ``run`` has paused the gearbox."""
         self.until(lambda: self.told("pause") or run.returncode is not None)
         assert run.returncode is None, run.output
 
-    def begin(self) -> None:
-        """Put the gearbox back, and forget what it told so far."""
-        self.events.clear()
-        assert self.call(Trigger, "reset").success
-        self.until(lambda: self.told("reset"))
-        self.events.clear()
-        self.in_force.clear()
+    def loads(self) -> list[float]:
+        """Load torques that were in force, in order."""
+        return [applied_commands(message).load_torque for message in self.heard["applied_command"]]
 
     def stepping(self) -> list[float]:
-        request = GetParameters.Request(names=["stepping.chunks", "stepping.timeout"])
-        chunks, timeout = self.call(GetParameters, "get_parameters", request).values
-        return [chunks.integer_value, timeout.double_value]
+        return list(self.get_all(["stepping.chunks", "stepping.timeout"]).values())
+
+
+class Shared(NamedTuple):
+    """A running gearbox that records to ``bag`` in a folder on demand."""
+
+    process: Process
+    operator: Operator
+    parameters: dict[str, Any]
 
 
 @pytest.fixture(scope="module")
-def gearbox(
+def shared(
     module_ros_domain: int, module_process: StartProcess, tmp_path_factory: pytest.TempPathFactory
-) -> Process:
-    """A gearbox that all tests here may play to; it records to ``bag`` in its folder on demand."""
-    folder = tmp_path_factory.mktemp("gearbox")
-    run = module_process("gearbox", *OPTIONS, "-p", f"recording.path:={folder / 'bag'}")
-    run.wait_for("recording to")
-    return run
-
-
-@pytest.fixture(scope="module")
-def module_operator(gearbox: Process) -> Iterator[Operator]:
-    operator = Operator()
-    operator.until(lambda: operator.told("start"))
-    yield operator
-    operator.context.try_shutdown()
+) -> Iterator[Shared]:
+    path = tmp_path_factory.mktemp("gearbox") / "bag"
+    words = (f"{name}:={value}" for name, value in SETTINGS.items())
+    process = start_gearbox(module_process, *words, f"recording.path:={path}")
+    with Operator() as operator:
+        operator.until(lambda: operator.heard["waveform"] and operator.heard["applied_command"])
+        yield Shared(process, operator, operator.changeable())
 
 
 @pytest.fixture
-def operator(module_operator: Operator) -> Operator:
-    """The gearbox runs from its start state."""
-    module_operator.begin()
-    return module_operator
+def gearbox(shared: Shared) -> Process:
+    return shared.process
+
+
+@pytest.fixture
+def operator(shared: Shared) -> Operator:
+    """The shared gearbox has just begun anew and records nothing; what it told before is forgotten."""
+    shared.operator.switch("record", False)
+    shared.operator.put_back(shared.parameters)
+    for key in ("event", "applied_command"):
+        shared.operator.heard[key].clear()
+    return shared.operator
 
 
 @pytest.fixture(scope="module")
@@ -157,7 +112,7 @@ def origin(run: Process) -> int:
 
 def recorded_by(operator: Operator) -> recording.Recording:
     """The gearbox's recording, finished."""
-    answer = operator.call(SetBool, "record", SetBool.Request(data=False))
+    answer = operator.switch("record", False)
     assert answer.success
     return recording.open(answer.message.removeprefix("recorded "))
 
@@ -174,13 +129,16 @@ def test_what_a_node_recorded_comes_out_the_same_in_lockstep(
     module_ros_domain: int, process: StartProcess, gearbox: Process, operator: Operator, tmp_path: Path
 ) -> None:
     (tmp_path / "profile.yaml").write_text(PROFILE)
-    first = process("gearbox", *OPTIONS, "-r", "__node:=first", "-p", f"recording.path:={tmp_path / 'bag'}")
+    words = (f"{name}:={value}" for name, value in SETTINGS.items())
+    bag_path = f"recording.path:={tmp_path / 'bag'}"
+    first = start_gearbox(process, *words, bag_path, remap=["__node:=first"])
     drive = process("drive", tmp_path / "profile.yaml", "--node", "first", "--wait", str(PATIENCE))
     assert drive.wait() == 0, drive.output
     assert first.stop() == 0
     bag = recording.open(tmp_path / "bag")
     assert len(bag.commands) > 1
 
+    assert operator.switch("record", True).success
     run = publish(process, bag.path, "--lockstep")
     assert run.wait() == 0, run.output + gearbox.output
     assert run.stderr == ""
@@ -210,8 +168,8 @@ def test_resets_changes_and_parts_come_out_the_same(
     whole = record(tmp_path / "whole", PARAMETERS, 40, act)
     before = record(tmp_path / "before", PARAMETERS, 20, act)
     after = record(tmp_path / "after", PARAMETERS, 40, act, begin=20)
-    assert operator.call(SetBool, "record", SetBool.Request(data=True)).success
-    assert operator.call(SetBool, "pause", SetBool.Request(data=True)).success
+    assert operator.switch("record", True).success
+    assert operator.switch("pause", True).success
 
     first = publish(process, before.path, "--lockstep")
     assert first.wait() == 0, first.output
@@ -222,7 +180,7 @@ def test_resets_changes_and_parts_come_out_the_same(
     assert "/gearbox stays paused, as it was found" in second.stdout
     assert origin(second) - origin(first) == after.first_sample
     assert_same(whole, recorded_by(operator), origin(first))
-    assert operator.call(SetBool, "pause", SetBool.Request(data=False)).success
+    assert operator.switch("pause", False).success
 
 
 def test_it_follows_at_the_gearbox_own_pace(
@@ -240,17 +198,18 @@ def test_it_follows_at_the_gearbox_own_pace(
     assert run.wait() == 0, run.output
     assert run.stderr == "replay: not played: 1 parameter changes; with --lockstep resets and changes are\n"
     assert "commands published over 0.2 s of simulated time" in run.stdout
-    operator.until(lambda: operator.in_force[-1:] == [Commands(25.0, 60.0, 400.0)])
-    assert [event["event"] for event in operator.events] == ["reset"]
-    loads = [commands.load_torque for commands in operator.in_force]
+    operator.until(lambda: operator.loads()[-1:] == [60.0])
+    assert operator.in_force() == Commands(25.0, 60.0, 400.0)
+    assert [event["event"] for event in operator.events()] == ["reset"]
+    loads = operator.loads()
     assert loads.index(30.0) < loads.index(60.0)
 
-    operator.events.clear()
+    operator.heard["event"].clear()
     run = publish(process, bag.path, "--no-reset")
     assert run.wait() == 0, run.output
-    assert operator.call(Trigger, "reset").success
-    operator.until(lambda: bool(operator.events))
-    assert [event["event"] for event in operator.events] == ["reset"]
+    assert operator.trigger("reset").success
+    operator.until(operator.events)
+    assert [event["event"] for event in operator.events()] == ["reset"]
 
 
 def test_an_interrupted_lockstep_leaves_the_gearbox_as_it_was(
@@ -274,7 +233,7 @@ def test_somebody_else_who_commands_is_noticed(
     run = publish(process, dense, "--lockstep")
     operator.paused_by(run)
     while run.returncode is None:
-        operator.load.publish(Float64(data=-5.0))
+        operator.publishers["load_torque_command"].publish(Float64(data=-5.0))
         operator.executor.spin_once(timeout_sec=0.0)
     assert run.wait() == 1, run.output
     (line,) = run.stderr.splitlines()
@@ -306,11 +265,11 @@ def test_commands_within_chunks_are_refused_before_anything_is_done(
     assert run.wait() == 2, run.output
     (line,) = run.stderr.splitlines()
     assert "solver.chunk = 0.002 s" in line and line.endswith("solver.chunk = 0.001 s")
-    assert not operator.events
+    assert not operator.events()
 
 
 def test_an_absent_gearbox_and_impossible_options_are_told(
-    module_ros_domain: int, process: StartProcess, dense: Path
+    ros_domain: int, process: StartProcess, dense: Path
 ) -> None:
     absent = publish(process, dense, "--node", "nobody", "--wait", "0.5", "--lockstep")
     misnamed = publish(process, dense, "--node", "no body")

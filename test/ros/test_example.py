@@ -5,24 +5,19 @@ from __future__ import annotations
 import math
 import signal
 import sys
-import time
 from itertools import pairwise
 
 import numpy as np
 import pytest
-import rclpy
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
-from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
-from std_srvs.srv import SetBool
 
+from gear_dynamics_ros.messages import stamp_ns
+from gear_dynamics_ros.node_topics import quality
 from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.topics import TOPICS
+from support.gearbox import Peer, start_gearbox
 from support.paths import ROOT
 
-PATIENCE = 120.0
 SPEED = 1000.0
 PROPORTIONAL, INTEGRAL = 0.11, 0.55
 LOADS = (30.0, 40.0, 25.0)
@@ -40,30 +35,22 @@ def greatest_drop(step):
     return abs(step) / inertia * (math.exp(-slow * at) - math.exp(-fast * at)) / (fast - slow)
 
 
-class Bench:
+class Bench(Peer):
     """Hears the shaft and puts load on it."""
 
     def __init__(self):
-        self.context = Context()
-        rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
-        self.node = Node("bench", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
+        super().__init__("bench")
         self.rows = []  # simulated time in s since the first, speed, drive torque, load torque
         self.first_ns = None
-        self.load = self.node.create_publisher(Float64, "/gearbox/command/load_torque", 10)
-        self.node.create_subscription(JointState, "joint_states", self.hear, 500)
+        self.load = self.publisher("load_torque_command")
+        every = quality(TOPICS["joint_states"])
+        every.depth = 500
+        self.subscribe("joint_states", self.hear, every)
 
     def hear(self, state):
-        now = state.header.stamp.sec * 10**9 + state.header.stamp.nanosec
+        now = stamp_ns(state.header.stamp)
         self.first_ns = now if self.first_ns is None else self.first_ns
         self.rows.append(((now - self.first_ns) * 1e-9, state.velocity[0], *state.effort[:2]))
-
-    def until(self, condition):
-        deadline = time.monotonic() + PATIENCE
-        while not condition():
-            assert time.monotonic() < deadline, f"the awaited never came; last: {self.rows[-1:]}"
-            self.executor.spin_once(timeout_sec=0.1)
 
     def put(self, load):
         """Set the load; returns the simulated time from which it acts."""
@@ -78,24 +65,11 @@ class Bench:
         speeds = [speed for at, speed, *_ in self.rows if begin <= at <= end]
         return np.convolve(speeds, np.full(SMOOTHED, 1.0 / SMOOTHED), "valid")
 
-    def pause(self, wanted):
-        client = self.node.create_client(SetBool, "/gearbox/pause")
-        assert client.wait_for_service(PATIENCE)
-        future = client.call_async(SetBool.Request(data=wanted))
-        self.until(future.done)
-        assert future.result().success
-
-    def close(self):
-        self.executor.shutdown()
-        self.node.destroy_node()
-        self.context.try_shutdown()
-
 
 @pytest.fixture
 def bench(ros_domain):
-    bench = Bench()
-    yield bench
-    bench.close()
+    with Bench() as bench:
+        yield bench
 
 
 def test_speed_comes_back_after_each_load_step(ros_domain, process, bench):
@@ -108,8 +82,7 @@ def test_speed_comes_back_after_each_load_step(ros_domain, process, bench):
         "operation.on_timeout": "release",
         "pacing.real_time_factor": 0.5,
     }
-    given = [word for name, value in settings.items() for word in ("-p", f"{name}:={value}")]
-    process(sys.executable, "-m", "gear_dynamics_ros.cli.gearbox", "--ros-args", *given)
+    start_gearbox(process, *(f"{name}:={value}" for name, value in settings.items()))
     bench.until(lambda: bench.rows)
     gains = ("-p", f"proportional:={PROPORTIONAL}", "-p", f"integral:={INTEGRAL}", "-p", f"speed:={SPEED}")
     controller = process(sys.executable, str(ROOT / "examples/speed_controller.py"), "--ros-args", *gains)
@@ -126,9 +99,9 @@ def test_speed_comes_back_after_each_load_step(ros_domain, process, bench):
         # Delay over the topics adds to the drop.
         assert 0.85 < away / greatest_drop(load - before) < 2.0
 
-    bench.pause(True)
+    assert bench.switch("pause", True).success
     controller.wait_for("the loop is open")
-    bench.pause(False)
+    assert bench.switch("pause", False).success
     resumed = bench.rows[-1][0]
     assert np.abs(bench.speeds(resumed, resumed + HELD) - SPEED).max() < TOLERANCE
 

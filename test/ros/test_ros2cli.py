@@ -6,9 +6,10 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 
 import pytest
+
+from support.gearbox import start_gearbox
 
 ROS2 = shutil.which("ros2")
 PATIENCE = 60.0
@@ -25,13 +26,8 @@ def ros2(*words):
     return answer.stdout
 
 
-def gearbox(start, *overrides):
-    arguments = [word for override in overrides for word in ("-p", override)]
-    return start(sys.executable, "-m", "gear_dynamics_ros.cli.gearbox", "--ros-args", *arguments)
-
-
 def test_a_running_gearbox_answers(ros_domain, process):
-    gearbox(process, "pacing.real_time_factor:=0.2").wait_for("running the improved model")
+    start_gearbox(process, "pacing.real_time_factor:=0.2").wait_for("running the improved model")
     info = ros2("node", "info", "--no-daemon", "--spin-time", "5", "/gearbox")
     assert "/gearbox/waveform: std_msgs/msg/Float64MultiArray" in info
     assert "/gearbox/step: std_srvs/srv/Trigger" in info
@@ -43,7 +39,7 @@ def test_a_running_gearbox_answers(ros_domain, process):
 
 
 def test_the_rate_of_a_topic_can_be_measured(ros_domain, process):
-    gearbox(process, "pacing.real_time_factor:=0.2").wait_for("running the improved model")
+    start_gearbox(process, "pacing.real_time_factor:=0.2").wait_for("running the improved model")
     with subprocess.Popen(
         [str(ROS2), "topic", "hz", "/gearbox/dte"],
         stdout=subprocess.PIPE,
@@ -58,7 +54,7 @@ def test_the_rate_of_a_topic_can_be_measured(ros_domain, process):
 
 
 def test_transitions_are_made(ros_domain, process):
-    gearbox(process, "autostart:=false")
+    start_gearbox(process, "autostart:=false")
     for transition, state in (
         ("configure", "inactive"),
         ("activate", "active"),

@@ -12,18 +12,13 @@ from typing import NamedTuple
 from xml.etree import ElementTree
 
 import pytest
-import rclpy
-from rclpy.context import Context
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 
 from gear_dynamics_ros.discovery import DECIDING, PROFILES, RANGE, stay_local
 from gear_dynamics_ros.parameters import specifications
 from gear_dynamics_ros.topics import TOPICS, resolve
+from support.gearbox import PATIENCE, Peer, start_gearbox
 from support.paths import ROOT
 
-PATIENCE = 120.0
-GEARBOX = (sys.executable, "-m", "gear_dynamics_ros.cli.gearbox", "--ros-args")
 TCP_LISTEN = "0A"
 # That a node has once it is complete.
 A_TOPIC = {"gearbox": "/gearbox/waveform", "drive": "/gearbox/command/load_torque"}
@@ -69,13 +64,8 @@ def sockets(pid):
     return found
 
 
-class Observer:
+class Observer(Peer):
     """A ROS 2 node without settings of its own, as others have them."""
-
-    def __init__(self):
-        self.context = Context()
-        rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
-        self.node = Node("observer", context=self.context)
 
     def graph(self, name):
         """Names that the node publishes, subscribes to, serves and calls."""
@@ -100,16 +90,11 @@ class Observer:
             time.sleep(0.5)
         pytest.fail(f"no settled graph of {name} with {topic}: {before}")
 
-    def close(self):
-        self.node.destroy_node()
-        self.context.try_shutdown()
-
 
 @pytest.fixture
 def observer(ros_domain):
-    observer = Observer()
-    yield observer
-    observer.close()
+    with Observer("observer") as observer:
+        yield observer
 
 
 @pytest.fixture
@@ -125,13 +110,9 @@ def start(process, tmp_path, *parameters, **variables):
     """A gearbox, and a drive that commands it for longer than a test takes."""
     profile = tmp_path / "profile.yaml"
     profile.write_text(PROFILE)
-    overrides = [
-        word for parameter in ("pacing.real_time_factor:=0.2", *parameters) for word in ("-p", parameter)
-    ]
-    drive = (sys.executable, "-m", "gear_dynamics_ros.cli.drive", profile, "--wait", PATIENCE)
     return {
-        "gearbox": process(*GEARBOX, *overrides, **variables),
-        "drive": process(*drive, **variables),
+        "gearbox": start_gearbox(process, "pacing.real_time_factor:=0.2", *parameters, **variables),
+        "drive": process("drive", profile, "--wait", PATIENCE, **variables),
     }
 
 

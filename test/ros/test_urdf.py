@@ -5,29 +5,23 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
-import time
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-import rclpy
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
+from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 from urdf_parser_py.urdf import URDF
 
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.messages import Encoder, deserialize
-from gear_dynamics_ros.node_topics import quality
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics.derived import base_radii
-from gear_dynamics_ros.topics import JOINT_STATE, TOPICS, WRENCH, resolve
+from gear_dynamics_ros.topics import JOINT_STATE, WRENCH
 from gear_dynamics_ros.urdf import main, urdf
+from support.gearbox import Peer, start_gearbox
 from support.paths import ROOT
 
-PATIENCE = 120.0
 UNEQUAL = Parameters.from_flat({"gears.driving.teeth": 25, "gears.driven.teeth": 40})
 
 
@@ -167,7 +161,7 @@ def test_what_cannot_be_is_told_in_one_line(arguments, told):
     assert told in done.stderr and done.stderr.count("\n") == 1
 
 
-class Plugin:
+class Plugin(Peer):
     """Sends what topic_based_ros2_control makes of the block: all joints, their commands in one message."""
 
     def __init__(self, block):
@@ -179,21 +173,16 @@ class Plugin:
             }
             for joint in block.iter("joint")
         }
-        self.context = Context()
-        rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
-        self.node = Node("controllers", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
+        super().__init__("controllers")
         self.states, self.applied = [], []
-        self.publisher = self.node.create_publisher(JointState, settings["joint_commands_topic"], 1)
+        self.commander = self.node.create_publisher(JointState, settings["joint_commands_topic"], 1)
         self.node.create_subscription(
             JointState,
             settings["joint_states_topic"],
             self.states.append,
-            rclpy.qos.qos_profile_sensor_data,
+            qos_profile_sensor_data,
         )
-        applied = TOPICS["applied_command"]
-        self.node.create_subscription(JointState, resolve(applied), self.applied.append, quality(applied))
+        self.subscribe("applied_command", self.applied.append)
 
     def packed(self):
         """As the older versions: the values that there are, one after the other."""
@@ -213,43 +202,29 @@ class Plugin:
             effort=[command.get("effort", math.nan) for command in commands],
         )
 
-    def until(self, condition):
-        deadline = time.monotonic() + PATIENCE
-        while not condition():
-            assert time.monotonic() < deadline, "the awaited never came"
-            self.executor.spin_once(timeout_sec=0.1)
-
     def commands(self):
         """Speed, drive torque and load torque in force."""
         last = self.applied[-1]
         return last.velocity[0], *last.effort
 
-    def close(self):
-        self.executor.shutdown()
-        self.node.destroy_node()
-        self.context.try_shutdown()
-
 
 def test_the_block_commands_a_running_gearbox(ros_domain, process):
     start = ("operation.speed:=900.0", "operation.load_torque:=12.0", "pacing.real_time_factor:=0.2")
-    overrides = [word for setting in start for word in ("-p", setting)]
-    gearbox = process(sys.executable, "-m", "gear_dynamics_ros.cli.gearbox", "--ros-args", *overrides)
+    gearbox = start_gearbox(process, *start)
     values = {"operation.speed": 900.0, "operation.load_torque": 12.0}
-    plugin = Plugin(ElementTree.fromstring(urdf(Parameters.from_flat(values))).find("ros2_control"))
-    try:
+    block = ElementTree.fromstring(urdf(Parameters.from_flat(values))).find("ros2_control")
+    with Plugin(block) as plugin:
         plugin.until(lambda: plugin.states and plugin.applied)
         assert set(plugin.joints) == set(plugin.states[0].name)
-        plugin.until(lambda: plugin.publisher.get_subscription_count() > 0)
+        plugin.until(lambda: plugin.commander.get_subscription_count() > 0)
         # The first commands are the gearbox's own; each sign of another one comes with the load torque.
         plugin.joints["driven"]["effort"] = 13.0
-        plugin.publisher.publish(plugin.packed())
+        plugin.commander.publish(plugin.packed())
         plugin.until(lambda: plugin.commands()[2] == 13.0)
         assert plugin.commands() == (900.0, 30.0, 13.0)
         plugin.joints["driving"] = {"velocity": 880.0, "effort": 31.0}
         plugin.joints["driven"]["effort"] = 14.0
-        plugin.publisher.publish(plugin.aligned())
+        plugin.commander.publish(plugin.aligned())
         plugin.until(lambda: plugin.commands()[2] == 14.0)
         assert plugin.commands() == (880.0, 31.0, 14.0)
         assert "refused" not in gearbox.output
-    finally:
-        plugin.close()

@@ -15,6 +15,7 @@ from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN, Chunk, Commands
+from support.parameters import parameters
 
 TORQUE = {"operation.control": "torque"}
 SPEED = {"operation.control": "speed"}
@@ -37,10 +38,6 @@ CHANGES: tuple[dict[str, Any], ...] = (
     {"operation.speed": 900.0},
 )
 MODELS = ("traditional", "compared", "improved")
-
-
-def parameters(**changed: Any) -> Parameters:
-    return Parameters.from_flat({name.replace("__", "."): value for name, value in changed.items()})
 
 
 def change(engine: Engine, values: dict[str, Any]) -> None:

@@ -14,25 +14,15 @@ from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.run import Run, advice
 from gear_dynamics_ros.signals import Commands
 from gear_dynamics_ros.topics import TOPICS
+from support.sinks import Keeper
 
 EPOCH = 1_700_000_000_000_000_000
 CHUNK = 200
 INTERVAL = 10_000
 
 
-class Keeper:
-    """A sink that keeps everything."""
-
-    def __init__(self):
-        self.chunks, self.records, self.closed = [], [], False
-
-    def write(self, chunk, records):
-        if chunk is not None:
-            self.chunks.append(chunk)
-        self.records.extend(records)
-
-    def close(self):
-        self.closed = True
+class Kept(Keeper):
+    """What was kept, decoded."""
 
     def of(self, topic):
         return [
@@ -57,7 +47,7 @@ class Keeper:
 
 
 def start(**values):
-    keeper = Keeper()
+    keeper = Kept()
     parameters = Parameters.from_flat(values)
     run = Run(Engine(parameters), Encoder(parameters, EPOCH), [keeper], duration=parameters.pacing.duration)
     return run, keeper
@@ -168,7 +158,7 @@ def test_duration_ends_the_run_on_its_last_sample(duration, samples):
 def test_a_sink_attached_later_learns_the_commands_in_force():
     run, _ = start()
     run.step()
-    late = Keeper()
+    late = Kept()
     run.attach(late)
     run.step()
     run.detach(late)

@@ -62,11 +62,6 @@ def absolute(what: str, measured: float, reference: float, tolerance: float, uni
     return Measurement(what, measured, reference, abs(measured - reference), tolerance, unit)
 
 
-def parameters(**changes: Any) -> Parameters:
-    """Default parameters with `changes`, whose names write a dot as two underscores."""
-    return Parameters.from_flat({name.replace("__", "."): value for name, value in changes.items()})
-
-
 def flat(base: dict[str, Any], changes: dict[str, Any]) -> Parameters:
     return Parameters.from_flat({**base, **changes})
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import time
 
 from gear_dynamics_ros import recording
+from support.processes import until
 
 # Starts its arguments as ``ros2 run`` does: as a child, told of no signal.
 ROS2 = "import subprocess, sys\nsys.exit(subprocess.Popen([sys.executable, *sys.argv[4:]]).wait())\n"
@@ -22,10 +22,7 @@ def test_a_node_whose_ros2_run_was_terminated_finishes_its_recording(ros_domain,
     parent.wait_for("recording to")
     parent.signal(signal.SIGTERM)
     parent.wait_for("the ros2 run that started it has ended")
-    deadline = time.monotonic() + 60.0
-    while not (bag / "metadata.yaml").exists():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    until((bag / "metadata.yaml").exists, "the recording is finished")
     assert recording.open(bag).complete
 
 

@@ -6,12 +6,10 @@ import socket
 import subprocess
 import sys
 import textwrap
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Rerun
 
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import UsageError
@@ -20,6 +18,9 @@ from gear_dynamics_ros.signals import Chunk
 from gear_dynamics_ros.viewer import Viewer, open_viewer
 from gear_dynamics_ros.viewer.decimation import extremes
 from gear_dynamics_ros.viewer.stream import contiguous
+from support.domains import free_port
+from support.processes import until
+from support.rerun_files import Rerun
 
 rerun = pytest.importorskip("rerun", reason="Rerun is optional at run time")
 
@@ -28,12 +29,6 @@ CHUNKS = 100
 
 def made_for(mode: str, **settings: object) -> Parameters:
     return Parameters.from_flat({"rerun.mode": mode, **{f"rerun.{name}": v for name, v in settings.items()}})
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @pytest.fixture(scope="module")
@@ -96,29 +91,24 @@ def test_file_below_a_file_is_refused(saved: Path) -> None:
         Viewer(made_for("save", path=str(saved / "deeper" / "run.rrd")))
 
 
+def answers(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
 def test_server_listens_on_loopback_and_a_busy_port_is_refused(chunks: list[Chunk]) -> None:
     port = free_port()
     viewer = Viewer(made_for("serve", port=port))
     try:
         for chunk in chunks:
             viewer.write(chunk)
-        connect_until_it_answers(port)
+        until(lambda: answers(port), f"something listens on port {port}")
         with pytest.raises(UsageError, match=rf"rerun\.port {port} can't be used"):
             Viewer(made_for("serve", port=port))
     finally:
         viewer.close()
     assert viewer.error is None
     assert viewer.dropped == 0
-
-
-def connect_until_it_answers(port: int) -> None:
-    for _ in range(1000):
-        try:
-            with socket.create_connection(("127.0.0.1", port), timeout=1.0):
-                return
-        except ConnectionRefusedError:
-            time.sleep(0.01)
-    pytest.fail(f"nothing listens on port {port}")
 
 
 def test_without_a_viewer_to_connect_to_everything_is_dropped_and_counted(chunks: list[Chunk]) -> None:
