@@ -228,7 +228,8 @@ def test_the_end_of_the_run_is_told_with_its_reason(
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
-def test_a_shipped_profile_holds(gearbox: Process, process: StartProcess, path: Path) -> None:
+def test_a_shipped_profile_holds(gearbox: Process, shared: Shared, process: StartProcess, path: Path) -> None:
+    assert shared.client.put("pacing.real_time_factor", 0.25).successful
     run = process("drive", path, "--wait", "60")
     assert run.wait() == 0, run.output + gearbox.output
     assert "\nFAIL" not in run.stdout

@@ -32,6 +32,7 @@ from support.processes import Process, StartProcess
 
 PATIENCE = 120.0  # s of wall time; a first start compiles the kernel
 OUTPUTS = [key for key in TOPICS if key not in COMMAND_TOPICS and key != "clock"]
+DEPTH = 100  # messages that come while a client does not listen
 INTERVAL_NS = 10_000  # the default solver.sample_interval
 
 
@@ -135,7 +136,9 @@ class Client(Peer):
         super().__init__("client", gearbox)
         self.heard: dict[str, list[Any]] = {key: [] for key in OUTPUTS}
         for key in OUTPUTS:
-            self.subscribe(key, self.heard[key].append)
+            profile = quality(TOPICS[key])
+            profile.depth = max(profile.depth, DEPTH)
+            self.subscribe(key, self.heard[key].append, profile)
         self.publishers = {key: self.publisher(key) for key in COMMAND_TOPICS}
 
     def hear(self, key: str, count: int = 1) -> list[Any]:

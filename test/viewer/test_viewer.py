@@ -6,25 +6,28 @@ import socket
 import subprocess
 import sys
 import textwrap
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.signals import Chunk
+from gear_dynamics_ros.signals import COLUMN, Chunk
 from gear_dynamics_ros.viewer import Viewer, open_viewer
 from gear_dynamics_ros.viewer.decimation import extremes
 from gear_dynamics_ros.viewer.stream import contiguous
 from support.domains import free_port
 from support.processes import until
-from support.rerun_files import Rerun
+from support.rerun_files import Rerun, rows_of
 
 rerun = pytest.importorskip("rerun", reason="Rerun is optional at run time")
 
 CHUNKS = 100
+INTERVAL_NS = 10_000
 
 
 def made_for(mode: str, **settings: object) -> Parameters:
@@ -74,9 +77,94 @@ def test_saved_file_is_whole_and_holds_every_view(saved: Path, rerun_command: Re
         assert f"{entity}:" in described
 
 
+@pytest.fixture(scope="module")
+def samples(chunks: list[Chunk]) -> NDArray[np.float64]:
+    return np.vstack([chunk.samples for chunk in chunks])
+
+
+def column(samples: NDArray[np.float64], name: str) -> NDArray[np.float64]:
+    return samples[:, COLUMN[name]]
+
+
+CURVES: dict[str, Callable[[NDArray[np.float64]], NDArray[np.float64]]] = {
+    "/mesh/dte": lambda s: column(s, "dte") * 1e6,
+    "/mesh/force": lambda s: column(s, "mesh_force"),
+    "/mesh/pressure_angle": lambda s: np.degrees(column(s, "pressure_angle")),
+    "/mesh/state": lambda s: column(s, "meshing_state"),
+    "/shaft/speed/driving": lambda s: column(s, "driving_speed"),
+    "/shaft/speed/driven": lambda s: column(s, "driven_speed"),
+    "/shaft/torque/drive": lambda s: column(s, "drive_torque"),
+    "/shaft/torque/load": lambda s: column(s, "load_torque"),
+    **{
+        f"/bearing/{gear}/{kind}": lambda s, name=f"{gear}_{kind}_force": np.hypot(
+            column(s, f"{name}_x"), column(s, f"{name}_y")
+        )
+        for gear in ("driving", "driven")
+        for kind in ("contact", "film")
+    },
+}
+
+
+@pytest.mark.parametrize("entity", CURVES)
+def test_curves_have_the_samples_values_at_their_times_and_every_peak(
+    saved: Path, samples: NDArray[np.float64], entity: str
+) -> None:
+    found = rows_of(saved, entity, "Scalars:scalars", "sim_time")
+    at = np.rint(found.times_ns / INTERVAL_NS).astype(int)
+    np.testing.assert_allclose(found.times_ns, at * INTERVAL_NS, rtol=0.0, atol=1.0)
+    expected = CURVES[entity](samples)
+    values = np.array(found.values)[:, 0]
+    np.testing.assert_allclose(values, expected[at], rtol=1e-15)
+    assert (np.diff(at) > 0).all()
+    # The lowest and the highest of every 100 samples, which are one where nothing changes.
+    for begin in range(0, len(expected), 100):
+        block, kept = expected[begin : begin + 100], values[(at >= begin) & (at < begin + 100)]
+        assert (kept.min(), kept.max()) == pytest.approx((block.min(), block.max()), rel=1e-15)
+        assert len(kept) <= 2
+
+
+def pictures(saved: Path, entity: str, component: str) -> Iterator[tuple[int, NDArray[np.float64]]]:
+    """Index behind the last sample of each picture, and its points (n, 2) with y upward."""
+    found = rows_of(saved, entity, component, "sim_time")
+    assert len(found.values) == 5  # every 40 ms of 0.2 s
+    for time_ns, value in zip(found.times_ns, found.values, strict=True):
+        points = np.array(value[0] if component.startswith("LineStrips") else value, dtype=float)
+        yield round(time_ns / INTERVAL_NS) + 1, points * [1.0, -1.0]
+
+
+@pytest.mark.parametrize("gear", ["driving", "driven"])
+def test_orbits_are_the_paths_of_the_journals_in_micrometres(
+    saved: Path, samples: NDArray[np.float64], gear: str
+) -> None:
+    path = np.column_stack([column(samples, f"{gear}_x"), column(samples, f"{gear}_y")]) * 1e6
+    ends = []
+    for end, points in pictures(saved, f"/orbit/{gear}/path", "LineStrips2D:strips"):
+        np.testing.assert_allclose(points, path[max(0, end - 1000) : end], rtol=1e-6, atol=1e-6)
+        ends.append(end)
+    assert np.diff(ends).tolist() == [4000] * 4
+    for end, points in pictures(saved, f"/orbit/{gear}/now", "Points2D:positions"):
+        np.testing.assert_allclose(points, path[end - 1 : end], rtol=1e-6, atol=1e-6)
+
+
+def test_phase_pictures_are_in_half_backlashes_of_the_mesh_mode(
+    saved: Path, samples: NDArray[np.float64]
+) -> None:
+    half_backlash, torsion = 25e-6, 2.0 * np.pi * 4654.579  # m; rad/s, docs/validation.md
+    dte, rate = column(samples, "dte") / half_backlash, column(samples, "dte_rate")
+    portrait = np.column_stack([dte, rate / (half_backlash * torsion)])
+    for end, points in pictures(saved, "/phase/portrait/path", "LineStrips2D:strips"):
+        np.testing.assert_allclose(points, portrait[max(0, end - 1000) : end], rtol=1e-6, atol=1e-6)
+    turns = column(samples, "mesh_phase") / (2.0 * np.pi)
+    for end, points in pictures(saved, "/phase/strobe/samples", "Points2D:positions"):
+        shown = slice(max(0, end - 1000), end)
+        width = np.ptp(points[:, 0]) / np.ptp(turns[shown])
+        np.testing.assert_allclose(points[:, 0], width * turns[shown], rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(points[:, 1], dte[shown], rtol=1e-6, atol=1e-6)
+
+
 def test_saved_file_is_small(saved: Path, chunks: list[Chunk]) -> None:
     seconds = CHUNKS * len(chunks[0]) * chunks[0].interval_ns * 1e-9
-    assert saved.stat().st_size < 200_000 + 6_000_000 * seconds
+    assert saved.stat().st_size < 200_000 + 2_500_000 * seconds
 
 
 def test_existing_file_is_kept(saved: Path) -> None:
