@@ -153,6 +153,7 @@ class Client(Peer):
 
     def in_force(self) -> Commands:
         """The commands in force, as told last."""
+        self.until(lambda: self.heard["applied_command"])
         return applied_commands(self.heard["applied_command"][-1])
 
     def events(self) -> list[dict[str, Any]]:
