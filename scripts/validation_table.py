@@ -29,11 +29,11 @@ def print_measurements() -> int:
 def print_agreement() -> None:
     """Engine against referee over the first millisecond."""
     import numpy as np
-    from test_against_referee import ROUGH, RUNS, SAMPLES, disagreement
 
     from gear_dynamics_ros.engine import Engine
     from gear_dynamics_ros.parameters import Parameters
     from support.referee import CHANNELS, Referee, nested
+    from support.referee_runs import ROUGH, RUNS, SAMPLES, disagreement
 
     steps = (1e-6, 0.5e-6, 0.25e-6, 0.125e-6)
     columns = " | ".join(f"{step * 1e6:g} us, nm" for step in steps)

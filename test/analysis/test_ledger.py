@@ -73,18 +73,21 @@ def test_impacts_are_what_the_waveform_shows(model: str) -> None:
     rows = np.concatenate([chunk.impacts for chunk in chunks])
     samples = np.concatenate([chunk.samples for chunk in chunks])
     time = samples[:, COLUMN["time"]]
-    assert len(rows) >= 2
+    seen = 0
     for number, gear in enumerate(("driving", "driven")):
         penetration = samples[:, COLUMN[f"{gear}_penetration"]]
         force = np.hypot(*(samples[:, COLUMN[f"{gear}_contact_force_{axis}"]] for axis in "xy"))
         mine = rows[rows[:, IMPACT["bearing"]] == number]
+        assert len(mine) >= 1
         for before, after in pairwise(mine):
             assert before[IMPACT["end"]] <= after[IMPACT["begin"]]
         for begin, end, _, _, rebound, peak in mine:
             inside = (time > begin) & (time < end)
+            seen += np.count_nonzero(inside)
             assert (penetration[inside] > 0.0).all()
             assert force[inside].max(initial=0.0) <= peak * (1.0 + 1e-15)  # hypot rounds otherwise
             assert rebound >= 0.0
+    assert seen > 10
 
 
 # What analyze makes of them

@@ -18,6 +18,7 @@ from gear_dynamics_ros.parameters import specifications
 from gear_dynamics_ros.topics import TOPICS, resolve
 from support.gearbox import PATIENCE, Peer, start_gearbox
 from support.paths import ROOT
+from support.processes import until
 
 TCP_LISTEN = "0A"
 # That a node has once it is complete.
@@ -126,13 +127,23 @@ def test_nothing_is_received_from_beyond_this_machine(
         elsewhere = [entry for entry in found if not entry.address.is_loopback]
         assert len(elsewhere) < len(found)
         assert {entry.kind for entry in elsewhere} <= {"udp"}
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-            for entry in elsewhere:
-                target = "127.0.0.1" if entry.address.is_unspecified else str(entry.address)
-                sender.sendto(b"is anybody there?", (target, entry.port))
-        time.sleep(1.0)
+
+        def unread(pid=started.pid):
+            return {entry.port: entry.unread for entry in sockets(pid)}
+
+        local = {entry.port for entry in found if entry.kind == "udp"} - {entry.port for entry in elsewhere}
+
+        def some_read(unread=unread, local=local):
+            return any(unread()[port] == 0 for port in local)
+
+        for _ in range(5):
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+                for entry in (entry for entry in found if entry.kind == "udp"):
+                    target = "127.0.0.1" if entry.address.is_unspecified else str(entry.address)
+                    sender.sendto(b"is anybody there?", (target, entry.port))
+            until(some_read, "what was sent to the loopback interface is read")
         # Sockets for sending only: what comes in stays in the kernel's queue, unread.
-        left = {entry.port: entry.unread for entry in sockets(started.pid)}
+        left = unread()
         assert all(left[entry.port] > 0 for entry in elsewhere), (name, elsewhere)
         assert "error" not in started.output.lower()
 
