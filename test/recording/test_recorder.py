@@ -189,13 +189,14 @@ def test_a_disk_that_is_full_at_a_split_leaves_the_parts_before(tmp_path: Path) 
 def test_flushed_is_what_a_reader_finds_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(writer, "FLUSH_SECONDS", 0.05)
     made = begin(tmp_path / "bag", **{"solver.step": 1e-5})
-    for _ in range(20):
+    looks = 0
+    while looks < 5:
         made.steps(20)
         flushed = made.recorder.stats.flushed
         if flushed:
             found = recording.open(tmp_path / "bag")
             assert sum(topic.messages for topic in found.topics) >= flushed
-    assert made.recorder.stats.flushed > 0
+            looks += 1
     made.run.close()
     assert made.recorder.stats.flushed == made.recorder.stats.messages
 

@@ -292,8 +292,12 @@ def test_an_impact_list_that_is_full_ends_no_run(
     rattling: Parameters, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = Engine(rattling).advance(3000)
+    calls = []
+    run = kernel.run
+    monkeypatch.setattr(kernel, "run", lambda *arguments: calls.append(1) or run(*arguments))
     monkeypatch.setattr("gear_dynamics_ros.engine.IMPACTS_A_CALL", 1)
     halting = Engine(rattling).advance(3000)
+    assert len(calls) > 5
     assert halting.impacts.tobytes() == whole.impacts.tobytes()
     assert halting.samples.tobytes() == whole.samples.tobytes()
 
