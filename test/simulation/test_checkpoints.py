@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import resource
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from gear_dynamics_ros import __version__, checkpoints, recording, replay
 from gear_dynamics_ros.cli.simulate import main as simulate
 from gear_dynamics_ros.engine import Engine, kernel_hash
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.parameters import Parameters, specifications, updated
+from gear_dynamics_ros.parameters import Parameters, Specification, specifications, updated
 from gear_dynamics_ros.physics import derived
 from gear_dynamics_ros.signals import Commands
 
@@ -146,20 +147,25 @@ def test_whatever_the_kernel_is_told_decides_the_physics() -> None:
         numbers = (derived.constants(parameters, table), table.waves, table.amplitudes)
         return b"".join(part.tobytes() for part in numbers)
 
-    plain = Parameters.from_flat({"operation.initial": "rest", "model": "traditional"})
-    for name, row in specifications().items():
-        before = plain.to_flat()[name]
+    def others(before: Any, row: Specification) -> list[Any]:
         if row.choices and row.type is str:
-            values: list[Any] = list(row.choices)
-        else:
-            values = [2 * before, before * 0.5, 0.1] if row.type is float else []
-        for value in values:
-            try:
-                other = updated(plain, {name: value})
-            except UsageError:
-                continue
-            if told(other) != told(plain):
-                assert checkpoints.decides_physics(name), name
+            return list(row.choices)
+        if row.type is tuple and row.element is float:
+            return [(0.01,), (*before, 0.01)]
+        if row.type is float:
+            return [2 * before, 0.9 * before, 0.1]
+        return [before + 1] if row.type is int else []
+
+    plain = Parameters.from_flat({"operation.initial": "rest", "model": "traditional"})
+    deciding = set()
+    for name, row in specifications().items():
+        for value in others(plain.to_flat()[name], row):
+            with suppress(UsageError):
+                if told(updated(plain, {name: value})) != told(plain):
+                    deciding.add(name)
+    assert {name for name in deciding if not checkpoints.decides_physics(name)} == set()
+    groups = ("gears.", "mesh.", "surface.", "bearings.", "oil.")
+    assert deciding >= {name for name in specifications() if name.startswith(groups)}
 
 
 def test_simulate_goes_on_from_one(file: Path, tmp_path: Path) -> None:
