@@ -153,7 +153,7 @@ def test_whatever_the_kernel_is_told_decides_the_physics() -> None:
         if row.type is tuple and row.element is float:
             return [(0.01,), (*before, 0.01)]
         if row.type is float:
-            return [2 * before, 0.9 * before, 0.1]
+            return [2 * before, 1.01 * before, 0.1]
         return [before + 1] if row.type is int else []
 
     plain = Parameters.from_flat({"operation.initial": "rest", "model": "traditional"})
