@@ -32,8 +32,6 @@ from gear_dynamics_ros.ros_yaml import SMALLEST_NORMAL, parse_yaml, resolve, sca
 from gear_dynamics_ros.signals import COLUMN
 from support.paths import ROOT
 
-DOMAIN_ID = 91
-
 NUMBERS = """
     0 1 -1 +1 007 010 08 09.5 0x1F 0X1f -0x10 +0x10 0x 0b11 0o17 1_000 12:30 -0 +0 00 -010
     0x8000000000000000 0x7fffffffffffffff
@@ -65,16 +63,16 @@ YAML_TEXTS = [
 
 
 @pytest.fixture(scope="module")
-def read_by_ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], dict[str, Any]]]:
+def read_by_ros(
+    module_ros_domain: int, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Callable[[str], dict[str, Any]]]:
     """What a real ROS node called gearbox takes from the text of a parameter file."""
     from rclpy.context import Context
     from rclpy.node import Node
 
     file = tmp_path_factory.mktemp("ros") / "parameters.yaml"
     context = Context()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        context.init(domain_id=DOMAIN_ID)
+    context.init(domain_id=module_ros_domain)
 
     def read(text: str) -> dict[str, Any]:
         file.write_text(text, encoding="utf-8")
