@@ -82,7 +82,8 @@ def shared(module_ros_domain: int, module_process: StartProcess) -> Iterator[Sha
     commands the gearbox.
     """
     words = ("operation.speed:=400.0", "pacing.real_time_factor:=0.2")
-    with shared_gearbox(module_process, *words) as (process, client, parameters):
+    hears = ("event", "applied_command")
+    with shared_gearbox(module_process, *words, hears=hears) as (process, client, parameters):
         yield Shared(process, client, parameters)
 
 

@@ -79,8 +79,8 @@ def shared(
     path = tmp_path_factory.mktemp("gearbox") / "bag"
     words = (f"{name}:={value}" for name, value in SETTINGS.items())
     process = start_gearbox(module_process, *words, f"recording.path:={path}")
-    with Operator() as operator:
-        operator.until(lambda: operator.heard["waveform"] and operator.heard["applied_command"])
+    with Operator(hears=("event", "applied_command")) as operator:
+        operator.in_force()
         yield Shared(process, operator, operator.changeable())
 
 

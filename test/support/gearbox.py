@@ -130,12 +130,13 @@ class Peer:
 
 
 class Client(Peer):
-    """Hears everything the gearbox sends, commands it and calls its services."""
+    """Hears what the gearbox sends, commands it and calls its services."""
 
-    def __init__(self, gearbox: str = "/gearbox") -> None:
+    def __init__(self, gearbox: str = "/gearbox", hears: Sequence[str] = OUTPUTS) -> None:
+        """``hears``: the topics (keys in TOPICS) to hear; the fewer, the less the machine is loaded."""
         super().__init__("client", gearbox)
-        self.heard: dict[str, list[Any]] = {key: [] for key in OUTPUTS}
-        for key in OUTPUTS:
+        self.heard: dict[str, list[Any]] = {key: [] for key in hears}
+        for key in hears:
             profile = quality(TOPICS[key])
             profile.depth = max(profile.depth, DEPTH)
             self.subscribe(key, self.heard[key].append, profile)
@@ -179,6 +180,10 @@ class Client(Peer):
         """Index of the last sample heard."""
         return int(indices_of(rows_of(self.heard["waveform"][-1]))[-1])
 
+    def sample_after(self, index: int) -> bool:
+        """Whether that sample or one after it was heard."""
+        return bool(self.heard["waveform"]) and self.sample() >= index
+
     def statuses(self) -> dict[str, Any]:
         """The next diagnostics by task; of several that came at once the last."""
         self.hear("diagnostics")
@@ -198,7 +203,8 @@ class Client(Peer):
     def put_back(self, parameters: Mapping[str, Any]) -> None:
         """Let a running gearbox start anew with ``parameters`` (of ``changeable``); forget what was heard.
 
-        Of topics that tell it to latecomers the last message stays.
+        The client must hear events and the commands in force. Of topics that tell it to latecomers the last
+        message stays.
         """
         self.switch("pause", False)
         now = self.changeable()
@@ -212,21 +218,23 @@ class Client(Peer):
         self.until(lambda: any(event["event"] == "reset" for event in self.events()[known:]))
         at = self.events()[-1]["sample"]
         commands = Commands(*(parameters[f"operation.{name}"] for name in Commands._fields))
-        self.until(lambda: self.in_force() == commands and self.heard["waveform"] and self.sample() >= at)
-        new = [message for message in self.heard["waveform"] if indices_of(rows_of(message))[0] >= at]
+        self.until(lambda: self.in_force() == commands)
         for key, messages in self.heard.items():
-            del messages[: -1 if TOPICS[key].latched else None]
-        self.heard["waveform"].extend(new)
+            if key == "waveform":
+                self.until(lambda: self.sample_after(at))
+                messages[:] = [message for message in messages if indices_of(rows_of(message))[0] >= at]
+            else:
+                del messages[: -1 if TOPICS[key].latched else None]
 
 
 @contextmanager
 def shared_gearbox(
-    start: StartProcess, *parameters: str, remap: Sequence[str] = ()
+    start: StartProcess, *parameters: str, hears: Sequence[str] = OUTPUTS
 ) -> Iterator[tuple[Process, Client, dict[str, Any]]]:
     """A running gearbox for several tests, a client, and the parameters to ``put_back`` before each."""
-    process = start_gearbox(start, *parameters, remap=remap)
-    with Client() as client:
-        client.until(lambda: client.heard["waveform"] and client.heard["applied_command"])
+    process = start_gearbox(start, *parameters)
+    with Client(hears=hears) as client:
+        client.in_force()
         yield process, client, client.changeable()
 
 
