@@ -34,6 +34,7 @@ from gear_dynamics_ros.signals import (
 from support.chunks import ROWS, record_odd
 from support.processes import Process, StartProcess, until
 from support.recordings import record
+from support.terminal import error_line
 
 FORMATS = ("parquet", "csv", "npy")
 Rows = np.ndarray[Any, Any]
@@ -86,12 +87,6 @@ def same_bits(left: Rows, right: Rows) -> bool:
 
 def without_payload(values: Rows) -> Rows:
     return np.where(np.isnan(values), np.nan, values)
-
-
-def error_line(capsys: pytest.CaptureFixture[str]) -> str:
-    error = capsys.readouterr().err
-    assert error.startswith("replay: error: ") and error.count("\n") == 1
-    return error
 
 
 @pytest.mark.parametrize("suffix", FORMATS)

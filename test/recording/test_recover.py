@@ -63,6 +63,7 @@ from gear_dynamics_ros.topics import TOPICS, resolve
 from support.processes import run_python
 from support.recordings import Recorded
 from support.sinks import Keeper
+from support.terminal import error_line
 
 EPOCH_NS = 1_700_000_000_123_450_000
 INTERVAL_NS = 10_000
@@ -535,12 +536,6 @@ def test_a_recording_of_others_is_refused(tmp_path: Path) -> None:
         recover(path, tmp_path / "out")
 
 
-def shown_errors(capsys: pytest.CaptureFixture[str]) -> str:
-    shown = capsys.readouterr()
-    assert shown.out == "" and shown.err.count("\n") == 1
-    return shown.err
-
-
 def test_places_that_cannot_be_meant(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "there").mkdir()
     (tmp_path / "link").symlink_to(bag)
@@ -556,7 +551,7 @@ def test_places_that_cannot_be_meant(bag: Path, tmp_path: Path, capsys: pytest.C
     ):
         before = state_of(bag)
         assert replay_main(["recover", str(source), "--output", str(target)]) == 2
-        assert told in shown_errors(capsys)
+        assert told in error_line(capsys)
         assert state_of(bag) == before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["empty", "link", "there"]
 

@@ -32,6 +32,7 @@ from gear_dynamics_ros.samples import Samples
 from gear_dynamics_ros.signals import CHANNEL_NAMES, Commands
 from support.chunks import record_odd
 from support.recordings import SHORT, following, record
+from support.terminal import error_line
 
 NAMES = ("dte", "mesh_phase", "load_torque")
 CHANGED = {"oil.viscosity": 0.0229}
@@ -306,9 +307,7 @@ def test_what_can_not_be_compared_is_refused(
 ) -> None:
     command = [str(folder / word) if (folder / word).exists() else word for word in words]
     assert replay_main(["diff", *command]) == 2
-    shown = capsys.readouterr()
-    assert shown.err.startswith("replay: error: ") and shown.err.count("\n") == 1
-    assert message in shown.err and not shown.out
+    assert message in error_line(capsys)
 
 
 def test_runs_of_other_times_can_be_aligned(
