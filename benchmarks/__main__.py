@@ -17,10 +17,10 @@ import plain_c
 import recordings
 import speed
 
-from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.origin import processor
 from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.provenance import processor
 
 REAL_TIME_AIMED_AT = {"traditional": 5.0, "compared": 5.0, "improved": 3.0}
 RATIO_AIMED_AT = 1.2

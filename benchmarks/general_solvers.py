@@ -23,9 +23,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.palette import BLUE, DIM, GREEN, GREY, ORANGE, PURPLE, SKY
 from gear_dynamics_ros.parameters import Parameters, load
+from gear_dynamics_ros.simulation.engine import Engine
 
 SOURCE = Path(__file__).resolve().parent.parent
 PROBLEMS = {

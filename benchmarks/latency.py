@@ -17,9 +17,9 @@ from live_node import Arrival, Client, Samples, running
 from numpy.typing import NDArray
 from std_msgs.msg import Float64
 
-from gear_dynamics_ros.engine import Engine
-from gear_dynamics_ros.messages import deserialize
+from gear_dynamics_ros.messages.cdr import deserialize
 from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.topics import JOINT_STATE
 
 COMMANDS = {"5e-4": 1000, "2e-3": 1000, "1e-2": 250}  # by chunk in s

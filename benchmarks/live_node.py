@@ -23,10 +23,11 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 
+from gear_dynamics_ros.channels import CHANNEL_NAMES
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.messages import serialize, waveform_message
-from gear_dynamics_ros.node_topics import message_type, quality
-from gear_dynamics_ros.signals import CHANNEL_NAMES
+from gear_dynamics_ros.messages.cdr import serialize
+from gear_dynamics_ros.messages.encoder import waveform_message
+from gear_dynamics_ros.ros.node_topics import message_type, quality
 from gear_dynamics_ros.topics import ARRAY, TOPICS, resolve
 
 PARAMETERS = Path(__file__).resolve().parent.parent / "config" / "gearbox.yaml"

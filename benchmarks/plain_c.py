@@ -22,11 +22,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.channels import CHANNELS, COLUMN
+from gear_dynamics_ros.chunk import Status
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics import derived, kernel
-from gear_dynamics_ros.signals import CHANNELS, COLUMN, Status
+from gear_dynamics_ros.simulation.engine import Engine
 
 PROGRAM = Path(__file__).resolve().parent / "plain" / "gearbox.c"
 FLAGS = ("-std=c11", "-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno")

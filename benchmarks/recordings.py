@@ -20,15 +20,16 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from speed import parameters_of
 
-from gear_dynamics_ros import recording, replay
-from gear_dynamics_ros.engine import Engine
-from gear_dynamics_ros.messages import Encoder, Record
+from gear_dynamics_ros import recording
+from gear_dynamics_ros.messages.encoder import Encoder, Record
 from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.recording import layout
+from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.recording.recover import recover
-from gear_dynamics_ros.recording.writer import Recorder
-from gear_dynamics_ros.recordings import RecorderSink
-from gear_dynamics_ros.run import Run
+from gear_dynamics_ros.recording.sink import RecorderSink
+from gear_dynamics_ros.replay.verify import verify_recording
+from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.topics import TOPICS, resolve
 
 SHARE_AIMED_AT = 0.25  # of a core, at 100 kHz and all channels
@@ -301,7 +302,7 @@ def _simulated(parameters: Parameters, path: Path) -> Path:
 
 
 def _verify(bag: recording.Recording) -> None:
-    if (found := replay.verify(bag).difference) is not None:
+    if (found := verify_recording(bag).difference) is not None:
         raise RuntimeError(f"{bag.path}: {found}")
 
 

@@ -24,9 +24,9 @@ from std_srvs.srv import Trigger
 from gear_dynamics_ros import palette
 from gear_dynamics_ros.cli.common import FAILURE, Progress, guarded
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.messages import deserialize
-from gear_dynamics_ros.origin import processor
+from gear_dynamics_ros.messages.cdr import deserialize
 from gear_dynamics_ros.parameters import load
+from gear_dynamics_ros.simulation.provenance import processor
 from gear_dynamics_ros.topics import TOPICS
 
 DURATION = 600.0  # s of wall time, as are the next

@@ -20,12 +20,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gear_dynamics_ros.engine import Engine
-from gear_dynamics_ros.messages import Encoder
+from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters, load
 from gear_dynamics_ros.physics import derived, kernel
 from gear_dynamics_ros.physics.lanes import pointer, store
-from gear_dynamics_ros.recording.writer import Recorder
+from gear_dynamics_ros.recording.recorder import Recorder
+from gear_dynamics_ros.simulation.engine import Engine
 
 SOURCE = Path(__file__).resolve().parent.parent
 CASES = SOURCE / "test" / "cases"

@@ -18,9 +18,9 @@ ROOT: Final = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from gear_dynamics_ros import palette  # noqa: E402
-from gear_dynamics_ros.engine import Engine  # noqa: E402
 from gear_dynamics_ros.parameters import Bearing, Parameters  # noqa: E402
 from gear_dynamics_ros.physics import derived  # noqa: E402
+from gear_dynamics_ros.simulation.engine import Engine  # noqa: E402
 
 Vector = NDArray[np.float64]
 

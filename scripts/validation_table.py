@@ -30,8 +30,8 @@ def print_agreement() -> None:
     """Engine against referee over the first millisecond."""
     import numpy as np
 
-    from gear_dynamics_ros.engine import Engine
     from gear_dynamics_ros.parameters import Parameters
+    from gear_dynamics_ros.simulation.engine import Engine
     from support.referee import CHANNELS, Referee, nested
     from support.referee_runs import ROUGH, RUNS, SAMPLES, disagreement
 

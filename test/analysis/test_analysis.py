@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from gear_dynamics_ros.analysis import ledger, sections, spectra
 from gear_dynamics_ros.analysis.statistics import Envelope, Quantities, Statistics, quantities
 from gear_dynamics_ros.analysis.summary import Span, steady_window
+from gear_dynamics_ros.channels import CHANNEL_NAMES, COLUMN
+from gear_dynamics_ros.chunk import Commands, Samples
 from gear_dynamics_ros.cli import analyze
-from gear_dynamics_ros.engine import Engine
-from gear_dynamics_ros.messages import Encoder
+from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics.derived import base_radii
-from gear_dynamics_ros.recording.writer import Recorder
-from gear_dynamics_ros.samples import Samples
-from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN, Commands
+from gear_dynamics_ros.recording.recorder import Recorder
+from gear_dynamics_ros.simulation.engine import Engine
 from support.recordings import following, record
 
 INTERVAL = 1e-5

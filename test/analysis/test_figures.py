@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from gear_dynamics_ros.analysis import figures
 from gear_dynamics_ros.analysis.statistics import Envelope, quantities
-from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.channels import CHANNEL_NAMES
+from gear_dynamics_ros.chunk import Commands, Samples
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.samples import Samples
-from gear_dynamics_ros.signals import CHANNEL_NAMES, Commands
+from gear_dynamics_ros.simulation.engine import Engine
 
 INTERVAL = 1e-5
 SAMPLES = 6000

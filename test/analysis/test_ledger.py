@@ -10,9 +10,15 @@ import pytest
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.analysis import ledger
-from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.channels import (
+    CHANNEL_NAMES,
+    COLUMN,
+    ENERGIES,
+    IMPACTS,
+)
+from gear_dynamics_ros.chunk import Chunk
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN, ENERGIES, IMPACTS, Chunk
+from gear_dynamics_ros.simulation.engine import Engine
 
 MODELS = ("traditional", "compared", "improved")
 DURATION = 5e-3  # s

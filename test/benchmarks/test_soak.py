@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gear_dynamics_ros.messages import serialize, waveform_message
-from gear_dynamics_ros.signals import CHANNEL_NAMES
+from gear_dynamics_ros.channels import CHANNEL_NAMES
+from gear_dynamics_ros.messages.cdr import serialize
+from gear_dynamics_ros.messages.encoder import waveform_message
 from gear_dynamics_ros.topics import ARRAY
 from support.paths import ROOT
 from support.processes import StartProcess, until

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from gear_dynamics_ros import recording, replay
+from gear_dynamics_ros import recording
 from gear_dynamics_ros.cli.replay import main as replay_main
 from gear_dynamics_ros.cli.simulate import main as simulate_main
-from gear_dynamics_ros.engine import Engine
-from gear_dynamics_ros.parameters import Parameters, load, updated
+from gear_dynamics_ros.parameters import Parameters, load_parameters, updated
+from gear_dynamics_ros.replay.verify import verify_recording
+from gear_dynamics_ros.simulation.engine import Engine
 from support.paths import CONFIG
 from support.processes import StartProcess, until
 from support.recordings import perform
@@ -31,7 +32,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_simulate_records_what_the_engine_gives(bag: Path) -> None:
-    expected = Engine(load(CONFIG / "paper.yaml")).advance(2000)
+    expected = Engine(load_parameters(CONFIG / "paper.yaml")).advance(2000)
     assert recording.open(bag).waveform().tobytes() == expected.samples.tobytes()
 
 
@@ -75,7 +76,7 @@ def test_a_trip_ends_with_the_reason_and_a_complete_recording(
     opened = recording.open(path)
     assert opened.complete
     assert opened.events[-1].kind == "end" and "over-speed" in opened.events[-1].message
-    assert replay.verify(opened).difference is None
+    assert verify_recording(opened).difference is None
 
 
 @pytest.mark.parametrize(
@@ -128,4 +129,4 @@ def test_a_signal_leaves_a_complete_recording_even_if_repeated(
     assert "Traceback" not in running.stderr
     bag = recording.open(path)
     assert bag.complete and bag.events[-1].message.startswith(signal.Signals(number).name)
-    assert replay.verify(bag).difference is None
+    assert verify_recording(bag).difference is None

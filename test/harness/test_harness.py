@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gear_dynamics_ros.channels import CHANNEL_NAMES
 from gear_dynamics_ros.cli import drive
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.harness.player import Player
@@ -20,7 +21,6 @@ from gear_dynamics_ros.harness.profile import Profile, load_profile
 from gear_dynamics_ros.harness.profile import parse_profile as parse_profile_in
 from gear_dynamics_ros.harness.results import format_results
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.signals import CHANNEL_NAMES
 from support.paths import CONFIG, ROOT
 
 PROFILES = sorted((CONFIG / "profiles").glob("*.yaml"))

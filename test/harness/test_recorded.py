@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.harness import recorded
 from gear_dynamics_ros.harness.recorded import Change, Reset
 from gear_dynamics_ros.parameters import Parameters, updated
-from gear_dynamics_ros.signals import Commands
+from gear_dynamics_ros.simulation.engine import Engine
 from support.recordings import record
 
 PARAMETERS = updated(Parameters(), {"operation.speed": 400.0, "operation.control": "torque"})

@@ -10,28 +10,23 @@ import sys
 import numpy as np
 import pytest
 
-from gear_dynamics_ros.messages import (
-    Encoder,
-    applied_commands,
-    deserialize,
-    joint_state,
-    message_class,
-    serialize,
-    stamp,
-    stamp_ns,
-    waveform_message,
-    waveform_samples,
-)
-from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.signals import (
+from gear_dynamics_ros.channels import (
     CHANNEL_NAMES,
     COLUMN,
     ENERGIES,
     IMPACTS,
-    Chunk,
-    Commands,
-    Counters,
 )
+from gear_dynamics_ros.chunk import Chunk, Commands, Counters
+from gear_dynamics_ros.messages.cdr import (
+    deserialize,
+    message_class,
+    serialize,
+    stamp,
+    stamp_ns,
+)
+from gear_dynamics_ros.messages.decoder import applied_commands, waveform_samples
+from gear_dynamics_ros.messages.encoder import Encoder, joint_state, waveform_message
+from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.topics import TOPICS, resolve
 from support.chunks import chunk_of
 
@@ -225,6 +220,6 @@ def test_needs_neither_ros_nor_rerun() -> None:
     code = (
         "import sys\n"
         "for name in ('rclpy', 'rerun'): sys.modules[name] = None\n"
-        "import gear_dynamics_ros.messages, gear_dynamics_ros.recording.writer, gear_dynamics_ros.recording\n"
+        "import gear_dynamics_ros.messages.encoder, gear_dynamics_ros.recording.recorder\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -15,8 +15,8 @@ import pytest
 from catkin_pkg.package import parse_package
 
 import gear_dynamics_ros
-from gear_dynamics_ros import resources
 from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.system import share
 from support.paths import ROOT
 from support.processes import executable
 
@@ -111,19 +111,19 @@ def test_executable_passes_arguments_and_exit_code_on(installed: Installation) -
 
 def test_shared_files_are_found(installed: Installation) -> None:
     assert (installed.prefix / "share/ament_index/resource_index/packages" / PACKAGE).is_file()
-    code = f"from {PACKAGE}.resources import share_file; print(*map(share_file, {SHARED}), sep='\\n')"
+    code = f"from {PACKAGE}.system.share import share_file; print(*map(share_file, {SHARED}), sep='\\n')"
     done = installed.run(sys.executable, "-c", code)
     share = installed.prefix / "share" / PACKAGE
     assert done.stdout.splitlines() == [str(share / name) for name in SHARED], done.stderr
 
 
 def test_shared_file_of_a_checkout() -> None:
-    assert resources.share_file("config/gearbox.yaml") == ROOT / "config/gearbox.yaml"
+    assert share.share_file("config/gearbox.yaml") == ROOT / "config/gearbox.yaml"
 
 
 def test_missing_shared_file_is_named() -> None:
     with pytest.raises(GearboxError, match=r"config/none\.yaml: not found"):
-        resources.share_file("config/none.yaml")
+        share.share_file("config/none.yaml")
 
 
 def test_manifest_agrees_with_the_package() -> None:
@@ -155,7 +155,9 @@ def test_ctrl_c_while_a_command_is_loaded_is_told_in_a_line(tmp_path: Path, name
 
 
 def test_engine_analysis_and_recording_need_neither_ros_nor_viewer() -> None:
-    modules = ", ".join(f"{PACKAGE}.{name}" for name in ("engine", "analysis", "recording", "cli.simulate"))
+    modules = ", ".join(
+        f"{PACKAGE}.{name}" for name in ("simulation.engine", "analysis", "recording", "cli.simulate")
+    )
     code = f"import sys; sys.modules.update(rclpy=None, rerun=None); import {modules}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr

@@ -15,21 +15,21 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from gear_dynamics_ros.channels import COLUMN
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import (
-    Gear,
-    Gears,
+    GearPairParameters,
+    GearParameters,
     Parameters,
     Specification,
     differences,
-    dump,
-    load,
-    reference,
+    dump_parameters,
+    load_parameters,
+    parameters_page,
     require_changeable,
     specifications,
 )
-from gear_dynamics_ros.ros_yaml import SMALLEST_NORMAL, parse_yaml, resolve, scalar_text
-from gear_dynamics_ros.signals import COLUMN
+from gear_dynamics_ros.parameters.rcl_yaml import SMALLEST_NORMAL, parse_yaml, resolve_scalar, scalar_text
 from support.paths import ROOT
 
 NUMBERS = """
@@ -295,12 +295,12 @@ def test_whole_numbers_of_steps_and_samples_are_exact(
 
 
 def test_an_object_built_by_hand_is_checked_as_well() -> None:
-    good = Parameters(gears=Gears(driving=Gear(teeth=23)))
+    good = Parameters(gears=GearPairParameters(driving=GearParameters(teeth=23)))
     assert good.to_flat()["gears.driving.teeth"] == 23
     with pytest.raises(UsageError, match=r"gears\.driving\.teeth = 4 "):
-        Parameters(gears=Gears(driving=Gear(teeth=4)))
+        Parameters(gears=GearPairParameters(driving=GearParameters(teeth=4)))
     with pytest.raises(UsageError, match=r"gears\.driving\.mass = 1 must be a number"):
-        Parameters(gears=Gears(driving=Gear(mass=1)))
+        Parameters(gears=GearPairParameters(driving=GearParameters(mass=1)))
     with pytest.raises(UsageError, match="model"):
         dataclasses.replace(good, model="new")
 
@@ -342,13 +342,13 @@ def flatten(tree: dict[str, Any], prefix: str = "") -> Iterator[str]:
 def test_the_gearbox_file_is_the_defaults_bit_for_bit(read_by_ros: Callable[[str], dict[str, Any]]) -> None:
     file = ROOT / "config" / "gearbox.yaml"
     defaults = Parameters().to_flat()
-    assert load(file) == Parameters()
+    assert load_parameters(file) == Parameters()
     by_ros = Parameters.from_flat(read_by_ros(file.read_text(encoding="utf-8"))).to_flat()
     assert {n: bits(v) for n, v in by_ros.items()} == {n: bits(v) for n, v in defaults.items()}
 
 
 def test_the_paper_file_differs_in_its_switches_only() -> None:
-    defaults, paper = Parameters().to_flat(), load(ROOT / "config" / "paper.yaml").to_flat()
+    defaults, paper = Parameters().to_flat(), load_parameters(ROOT / "config" / "paper.yaml").to_flat()
     assert {name: value for name, value in paper.items() if value != defaults[name]} == {
         "mesh_geometry": "published",
         "mesh_damping": "always",
@@ -359,7 +359,7 @@ def test_the_paper_file_differs_in_its_switches_only() -> None:
 
 
 def test_the_reference_page_is_up_to_date() -> None:
-    assert (ROOT / "docs" / "parameters.md").read_text(encoding="utf-8") == reference(), (
+    assert (ROOT / "docs" / "parameters.md").read_text(encoding="utf-8") == parameters_page(), (
         "run: python -m gear_dynamics_ros.parameters > docs/parameters.md"
     )
 
@@ -374,7 +374,7 @@ def test_every_text_of_a_number_is_what_ros_takes_it_for(
     for index, value in enumerate(texts):
         taken = ours["/**"]["ros__parameters"][f"p{index}"]
         assert bits(taken) == bits(by_ros[f"p{index}"]), value
-    assert all(bits(resolve(text)) == bits(by_ros[f"p{i}"]) for i, text in enumerate(NUMBER_TEXTS))
+    assert all(bits(resolve_scalar(text)) == bits(by_ros[f"p{i}"]) for i, text in enumerate(NUMBER_TEXTS))
 
 
 floats = st.floats(allow_nan=False, allow_infinity=False).filter(
@@ -423,9 +423,9 @@ def parameters(draw: st.DrawFn) -> Parameters:
 def test_parameters_survive_dump_and_load_here_and_in_ros(
     original: Parameters, read_by_ros: Callable[[str], dict[str, Any]], tmp_path: Path
 ) -> None:
-    text = dump(original)
+    text = dump_parameters(original)
     wanted = {name: bits(value) for name, value in original.to_flat().items()}
-    for read in (load(file_of(tmp_path, text)), Parameters.from_flat(read_by_ros(text))):
+    for read in (load_parameters(file_of(tmp_path, text)), Parameters.from_flat(read_by_ros(text))):
         assert {name: bits(value) for name, value in read.to_flat().items()} == wanted
     assert yaml.safe_load(text)["/**"]["ros__parameters"]["oil"]["viscosity"] == original.oil.viscosity
 
@@ -441,10 +441,10 @@ def test_sections_count_as_in_ros(
     text += section("operation: {speed: 2}", f'"{second}"')
     by_ros = read_by_ros(text)
     if by_ros:
-        assert load(file_of(tmp_path, text)) == Parameters.from_flat(by_ros)
+        assert load_parameters(file_of(tmp_path, text)) == Parameters.from_flat(by_ros)
     else:
         with pytest.raises(UsageError, match="no section for /gearbox"):
-            load(file_of(tmp_path, text))
+            load_parameters(file_of(tmp_path, text))
 
 
 @pytest.mark.parametrize(
@@ -460,7 +460,7 @@ def test_sections_count_as_in_ros(
 def test_other_ways_to_write_a_section_count_as_in_ros(
     text: str, read_by_ros: Callable[[str], dict[str, Any]], tmp_path: Path
 ) -> None:
-    assert load(file_of(tmp_path, text)) == Parameters.from_flat(read_by_ros(text))
+    assert load_parameters(file_of(tmp_path, text)) == Parameters.from_flat(read_by_ros(text))
 
 
 @pytest.mark.parametrize(
@@ -500,7 +500,7 @@ def test_other_ways_to_write_a_section_count_as_in_ros(
 def test_a_file_that_can_t_be_is_refused_in_one_line(text: str, words: list[str], tmp_path: Path) -> None:
     file = file_of(tmp_path, text)
     with pytest.raises(UsageError) as refused:
-        load(file)
+        load_parameters(file)
     message = str(refused.value)
     assert message.startswith(f"{file}: ") and "\n" not in message
     assert all(word in message for word in words), message
@@ -508,12 +508,12 @@ def test_a_file_that_can_t_be_is_refused_in_one_line(text: str, words: list[str]
 
 def test_a_file_that_can_t_be_read_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"missing\.yaml: it can't be read: No such file"):
-        load(tmp_path / "missing.yaml")
+        load_parameters(tmp_path / "missing.yaml")
     with pytest.raises(UsageError, match="can't be read: Is a directory"):
-        load(tmp_path)
+        load_parameters(tmp_path)
     (tmp_path / "latin.yaml").write_bytes("/**: \N{MICRO SIGN}".encode("latin-1"))
     with pytest.raises(UsageError, match="no UTF-8 text"):
-        load(tmp_path / "latin.yaml")
+        load_parameters(tmp_path / "latin.yaml")
 
 
 # Settings on a command line
@@ -521,7 +521,7 @@ def test_a_file_that_can_t_be_read_is_refused(tmp_path: Path) -> None:
 
 def test_settings_override_the_file_and_are_read_alike(tmp_path: Path) -> None:
     file = file_of(tmp_path, section("bearings: {driving: {clearance: 2.0e-4}}"))
-    loaded = load(
+    loaded = load_parameters(
         file,
         [
             "bearings.driving.oil_clearance=3.0e-4",
@@ -566,6 +566,6 @@ def test_settings_override_the_file_and_are_read_alike(tmp_path: Path) -> None:
 )
 def test_a_setting_that_can_t_be_is_refused_in_one_line(setting: str, words: list[str]) -> None:
     with pytest.raises(UsageError) as refused:
-        load(ROOT / "config" / "gearbox.yaml", [setting])
+        load_parameters(ROOT / "config" / "gearbox.yaml", [setting])
     message = str(refused.value)
     assert "\n" not in message and all(word in message for word in words), message

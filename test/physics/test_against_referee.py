@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import newton
 
-from gear_dynamics_ros.engine import Engine
-from gear_dynamics_ros.parameters import Parameters, load
-from gear_dynamics_ros.signals import CHANNEL_NAMES
+from gear_dynamics_ros.channels import CHANNEL_NAMES
+from gear_dynamics_ros.parameters import Parameters, load_parameters
+from gear_dynamics_ros.simulation.engine import Engine
 from support.measurements import PUBLISHED
 from support.paths import CASES
 from support.referee import CHANNELS, Referee, clearest, nested
@@ -110,7 +110,7 @@ def test_same_channels() -> None:
 @pytest.mark.parametrize(("name", "goal"), [("traditional_6000", 0.01), ("refined_9000", 0.1)])
 def test_recorded_runs(name: str, goal: float) -> None:
     recorded = np.genfromtxt(CASES / f"{name}.csv", delimiter=",", skip_header=1)[:SAMPLES]
-    samples = Engine(load(CASES / f"{name}.yaml")).advance(SAMPLES).samples
+    samples = Engine(load_parameters(CASES / f"{name}.yaml")).advance(SAMPLES).samples
     assert np.abs(samples[:, 1] - recorded[:, 1]).max() < goal * NANOMETRE
     off = disagreement(samples, recorded, 27)
     assert max(off.values()) < 1e-5, off

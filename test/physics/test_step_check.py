@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from gear_dynamics_ros.cli.simulate import main as simulate_main
-from gear_dynamics_ros.parameters import Parameters, load
+from gear_dynamics_ros.parameters import Parameters, load_parameters
 from gear_dynamics_ros.physics import derived, kernel, step_check
 from support.paths import CONFIG
 
@@ -26,7 +26,7 @@ def hertz(changes: dict[str, Any]) -> float:
 @pytest.mark.parametrize("config", ["gearbox.yaml", "paper.yaml"])
 @pytest.mark.parametrize("model", ["traditional", "compared", "improved"])
 def test_the_packages_configurations_need_no_warning(config: str, model: str) -> None:
-    assert step_check.warnings(load(CONFIG / config, [f"model={model}"])) == []
+    assert step_check.warnings(load_parameters(CONFIG / config, [f"model={model}"])) == []
 
 
 @pytest.mark.parametrize(
@@ -46,13 +46,13 @@ def test_the_mesh_counts_at_its_stiffest() -> None:
 
 def test_the_hertz_contact_carries_the_static_load() -> None:
     p = Parameters.from_flat({"model": "compared"})
-    depth, load = step_check.static_depth(p, "driving"), 532.088886
+    depth, load_parameters = step_check.static_depth(p, "driving"), 532.088886
 
     def force(depth: float) -> float:
         bearing = p.bearings.driving
         return derived.hertz_factor(p, bearing.length) * depth**1.5 / math.sqrt(bearing.clearance + depth)
 
-    assert force(depth) == pytest.approx(load, rel=1e-8)
+    assert force(depth) == pytest.approx(load_parameters, rel=1e-8)
     slope = (force(depth * 1.0001) - force(depth * 0.9999)) / (0.0002 * depth)
     assert step_check.contact_stiffness(p, "driving") == pytest.approx(slope, rel=1e-6)
 

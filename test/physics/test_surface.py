@@ -9,8 +9,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.physics.surface import fractal_surface
+from gear_dynamics_ros.simulation.engine import Engine
 from support.measurements import mean_magnitude
 from support.parameters import parameters
 

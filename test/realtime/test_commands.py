@@ -6,8 +6,9 @@ import math
 
 import pytest
 
-from gear_dynamics_ros.commands import MOST_RECEIVED, Mailbox, joint_changes
+from gear_dynamics_ros.messages.decoder import joint_changes
 from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.realtime.mailbox import MOST_RECEIVED, Mailbox
 
 
 @pytest.fixture

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gear_dynamics_ros.condition import ConditionSink
-from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.channels import ENERGIES
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.signals import ENERGIES
+from gear_dynamics_ros.realtime.condition import ConditionSink
+from gear_dynamics_ros.simulation.engine import Engine
 
 SAMPLES = 110_000
 MESH_LOSS = [energy.name for energy in ENERGIES].index("mesh_loss")

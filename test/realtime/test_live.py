@@ -7,13 +7,13 @@ import time
 
 import pytest
 
-from gear_dynamics_ros.commands import Mailbox
-from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.live import Live
-from gear_dynamics_ros.messages import Encoder
+from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters, updated
-from gear_dynamics_ros.run import Run
+from gear_dynamics_ros.realtime.engine_thread import Live
+from gear_dynamics_ros.realtime.mailbox import Mailbox
+from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.run import Run
 from support.processes import until
 
 # Half a second of simulated time from the start to the speed limit.

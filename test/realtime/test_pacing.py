@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from gear_dynamics_ros.pacing import Pacer
-from gear_dynamics_ros.parameters import Pacing
+from gear_dynamics_ros.parameters import PacingParameters
+from gear_dynamics_ros.realtime.pacing import Pacer
 
 CHUNK = 2_000_000
 
 
 def test_a_chunk_is_due_when_its_last_moment_has_passed():
-    pacer = Pacer(Pacing(1.0), 100)
+    pacer = Pacer(PacingParameters(1.0), 100)
     assert pacer.wait_ns(CHUNK, 100) == CHUNK
     assert pacer.wait_ns(CHUNK, 100 + CHUNK) == 0
     pacer.done(CHUNK, 100 + CHUNK + 7)
@@ -20,7 +20,7 @@ def test_a_chunk_is_due_when_its_last_moment_has_passed():
 
 @pytest.mark.parametrize("factor", [0.2, 0.3, 3.0, 7.7])
 def test_deadlines_do_not_drift(factor):
-    pacer = Pacer(Pacing(factor), 0)
+    pacer = Pacer(PacingParameters(factor), 0)
     for k in range(1, 10_001):
         due = pacer.wait_ns(CHUNK, 0)
         pacer.done(CHUNK, due)
@@ -28,7 +28,7 @@ def test_deadlines_do_not_drift(factor):
 
 
 def test_flat_out_is_always_due_and_never_late():
-    pacer = Pacer(Pacing(0.0), 0)
+    pacer = Pacer(PacingParameters(0.0), 0)
     for now in range(0, 50 * CHUNK, 5 * CHUNK):
         assert pacer.wait_ns(CHUNK, now) == 0
         pacer.begun(CHUNK, now)
@@ -38,7 +38,7 @@ def test_flat_out_is_always_due_and_never_late():
 
 
 def test_an_overrun_is_counted_and_slips():
-    pacer = Pacer(Pacing(1.0), 0)
+    pacer = Pacer(PacingParameters(1.0), 0)
     pacer.begun(CHUNK, CHUNK + 30)
     pacer.done(CHUNK, 2 * CHUNK + 500)
     assert pacer.wait_ns(CHUNK, 2 * CHUNK + 500) == 0
@@ -52,7 +52,7 @@ def test_an_overrun_is_counted_and_slips():
 
 
 def test_worst_lateness_and_factor_are_those_since_the_last_report():
-    pacer = Pacer(Pacing(1.0), 0)
+    pacer = Pacer(PacingParameters(1.0), 0)
     pacer.begun(CHUNK, CHUNK + 30)
     pacer.done(CHUNK, CHUNK + 40)
     pacer.report(CHUNK + 40)
@@ -60,16 +60,16 @@ def test_worst_lateness_and_factor_are_those_since_the_last_report():
 
 
 def test_a_pause_is_no_overrun():
-    pacer = Pacer(Pacing(1.0), 0)
+    pacer = Pacer(PacingParameters(1.0), 0)
     pacer.done(CHUNK, CHUNK)
-    pacer.change(Pacing(2.0), 1000 * CHUNK)
+    pacer.change(PacingParameters(2.0), 1000 * CHUNK)
     assert pacer.wait_ns(CHUNK, 1000 * CHUNK) == CHUNK // 2
     pacer.done(CHUNK, 1000 * CHUNK + CHUNK // 2)
     assert pacer.report(1001 * CHUNK).overruns == 0
 
 
 def test_catch_up_keeps_the_deadlines_as_far_as_it_may():
-    pacer = Pacer(Pacing(1.0, on_overrun="catch_up", catch_up_limit=3e-3), 0)
+    pacer = Pacer(PacingParameters(1.0, on_overrun="catch_up", catch_up_limit=3e-3), 0)
     assert pacer.done(CHUNK, 3 * CHUNK) == CHUNK
     assert pacer.wait_ns(CHUNK, 3 * CHUNK) == 0
     assert pacer.done(CHUNK, 3 * CHUNK + 10) == 10
@@ -86,7 +86,7 @@ def test_catch_up_keeps_the_deadlines_as_far_as_it_may():
 
 
 def test_a_pause_does_not_count_into_the_factor():
-    pacer = Pacer(Pacing(1.0), 0)
+    pacer = Pacer(PacingParameters(1.0), 0)
     pacer.done(CHUNK, CHUNK)
     pacer.restart(1000 * CHUNK)
     pacer.done(CHUNK, 1001 * CHUNK)
@@ -94,7 +94,7 @@ def test_a_pause_does_not_count_into_the_factor():
 
 
 def test_what_was_asked_for_is_no_overrun_but_slips():
-    pacer = Pacer(Pacing(1.0), 0)
+    pacer = Pacer(PacingParameters(1.0), 0)
     pacer.excuse(20 * CHUNK)
     assert pacer.done(CHUNK, 21 * CHUNK) == 0
     report = pacer.report(21 * CHUNK)

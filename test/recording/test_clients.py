@@ -18,7 +18,8 @@ from mcap.reader import NonSeekingReader, SeekingReader, make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
-from gear_dynamics_ros.messages import Record, deserialize
+from gear_dynamics_ros.messages.cdr import deserialize
+from gear_dynamics_ros.messages.encoder import Record
 from gear_dynamics_ros.topics import TOPICS, resolve
 from support.every_topic import Made, full_name, leaves, record_everything, sequences
 from support.rerun_files import Rerun

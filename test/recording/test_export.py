@@ -17,20 +17,20 @@ import pytest
 from pyarrow import parquet
 
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.cli.replay import main as replay_main
-from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.parameters import Parameters, dump, updated
-from gear_dynamics_ros.recording.export import export
-from gear_dynamics_ros.recording.reader import BLOCK_SAMPLES
-from gear_dynamics_ros.recording.table_files import ROW_GROUP
-from gear_dynamics_ros.run import Run
-from gear_dynamics_ros.signals import (
+from gear_dynamics_ros.channels import (
     CHANNEL_NAMES,
     CHANNELS,
     ENERGIES,
     IMPACTS,
-    Commands,
 )
+from gear_dynamics_ros.chunk import Commands
+from gear_dynamics_ros.cli.replay import main as replay_main
+from gear_dynamics_ros.errors import UsageError
+from gear_dynamics_ros.parameters import Parameters, dump_parameters, updated
+from gear_dynamics_ros.recording.export.formats import ROW_GROUP
+from gear_dynamics_ros.recording.export.write import export
+from gear_dynamics_ros.recording.reader import BLOCK_SAMPLES
+from gear_dynamics_ros.simulation.run import Run
 from support.chunks import ROWS, record_odd
 from support.processes import Process, StartProcess, until
 from support.recordings import record
@@ -140,7 +140,7 @@ def test_parquet_tells_units_and_origin(bag: Path, tmp_path: Path) -> None:
     assert about["version"] == opened.version
     assert about["kernel_hash"] == opened.kernel_hash
     assert about["sample_interval_ns"] == "10000"
-    assert about["parameters"] == dump(Parameters())
+    assert about["parameters"] == dump_parameters(Parameters())
     sizes = [file.metadata.row_group(i).num_rows for i in range(file.metadata.num_row_groups)]
     assert sum(sizes) == 250 * ROWS and len(sizes) > 1
     assert max(sizes) < ROW_GROUP + BLOCK_SAMPLES + ROWS
@@ -376,7 +376,7 @@ GROWTH = """
 import resource, sys
 from pathlib import Path
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.recording.export import export
+from gear_dynamics_ros.recording.export.write import export
 bag, folder, suffix = recording.open(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
 export(bag, folder / f"short.{suffix}", end=0.7)
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -14,7 +14,8 @@ from typing import Any
 import pytest
 
 from gear_dynamics_ros import __version__
-from gear_dynamics_ros.messages import Record, deserialize
+from gear_dynamics_ros.messages.cdr import deserialize
+from gear_dynamics_ros.messages.encoder import Record
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.topics import TOPICS
 from support.every_topic import EPOCH_NS, Made, full_name, leaves, record_everything, sequences

@@ -11,17 +11,20 @@ from pathlib import Path
 
 import pytest
 
-from gear_dynamics_ros import checkpoints, recording, recordings, replay
-from gear_dynamics_ros.commands import Mailbox
-from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros import recording
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.messages import Encoder
+from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.recording import writer
+from gear_dynamics_ros.realtime import recording_control
+from gear_dynamics_ros.realtime.mailbox import Mailbox
+from gear_dynamics_ros.realtime.recording_control import Recordings
+from gear_dynamics_ros.realtime.session import Session
+from gear_dynamics_ros.recording import recorder as recorder_module
 from gear_dynamics_ros.recording.ring import Ring
-from gear_dynamics_ros.recordings import Recordings
-from gear_dynamics_ros.run import Run
-from gear_dynamics_ros.session import Session
+from gear_dynamics_ros.replay.verify import verify_recording
+from gear_dynamics_ros.simulation import checkpoints
+from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.run import Run
 from support.processes import run_python, until
 from support.recordings import Recorded
 
@@ -62,7 +65,7 @@ def test_a_new_file_after_a_simulated_time(tmp_path: Path) -> None:
     made.run.close()
     bag = recording.open(tmp_path / "bag")
     assert [part.first_sample for part in bag.parts] == [0, 5 * CHUNK, 10 * CHUNK]
-    assert replay.verify(bag).difference is None
+    assert verify_recording(bag).difference is None
 
 
 def test_a_new_file_at_a_size(tmp_path: Path) -> None:
@@ -76,7 +79,7 @@ def test_a_new_file_at_a_size(tmp_path: Path) -> None:
     assert all(size <= part.size for part in bag.parts[:-1])
     assert len(bag.waveform()) == 300 * CHUNK
     for part in bag.parts:
-        assert replay.verify(recording.open(part.path)).difference is None
+        assert verify_recording(recording.open(part.path)).difference is None
 
 
 def test_a_split_that_waits_is_not_asked_for_twice(tmp_path: Path) -> None:
@@ -116,7 +119,7 @@ def until_stopped(made: Recorded) -> str:
 def test_recording_stops_in_time_before_the_disk_is_full(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(writer, "FLUSH_SECONDS", 0.01)
+    monkeypatch.setattr(recorder_module, "FLUSH_SECONDS", 0.01)
     volume = os.statvfs(tmp_path)
     kept_free = volume.f_bavail * volume.f_frsize - 300_000_000
     made = begin(tmp_path / "bag", **{"solver.step": 1e-5, "recording.minimum_free": kept_free})
@@ -139,7 +142,7 @@ def test_recording_stops_in_time_before_the_disk_is_full(
 def test_a_folder_that_is_taken_away_is_noticed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str
 ) -> None:
-    monkeypatch.setattr(writer, "FLUSH_SECONDS", 0.01)
+    monkeypatch.setattr(recorder_module, "FLUSH_SECONDS", 0.01)
     path = tmp_path / "bag"
     made = begin(path, **{"solver.step": 1e-5})
     made.steps(10)
@@ -187,7 +190,7 @@ def test_a_disk_that_is_full_at_a_split_leaves_the_parts_before(tmp_path: Path) 
 
 
 def test_flushed_is_what_a_reader_finds_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(writer, "FLUSH_SECONDS", 0.05)
+    monkeypatch.setattr(recorder_module, "FLUSH_SECONDS", 0.05)
     made = begin(tmp_path / "bag", **{"solver.step": 1e-5})
     looks = 0
     while looks < 5:
@@ -213,21 +216,21 @@ def test_a_ring_writes_the_last_of_a_run_and_goes_on(tmp_path: Path) -> None:
     run = Run(engine, Encoder(parameters, 0))
     recordings = Recordings(run, 0, "/cell/box")
     with pytest.raises(GearboxError, match="there is no ring"):
-        recordings.cut()
-    recordings.arm()
+        recording_control.cut()
+    recording_control.arm()
     for steps, name in ((3, "bag"), (40, "bag_2")):
         for _ in range(steps):
             run.step()
-        path = recordings.write(recordings.cut())
+        path = recording_control.write(recording_control.cut())
         assert path == tmp_path / name
         found = recording.open(path)
         assert found.complete and found.node == "/cell/box"
         assert found.end_sample == engine.sample
         assert min(engine.sample, 16 * CHUNK) <= found.end_sample - found.first_sample <= 18 * CHUNK
         assert found.commands[0][1] == engine.commands
-        assert replay.verify(found).difference is None
-    assert recordings.ring is not None and 16 * CHUNK <= recordings.ring.samples <= 18 * CHUNK
-    assert recordings.ring.size < 19 * 50_000
+        assert verify_recording(found).difference is None
+    assert recording_control.ring is not None and 16 * CHUNK <= recording_control.ring.samples <= 18 * CHUNK
+    assert recording_control.ring.size < 19 * 50_000
 
 
 def test_a_ring_forgets(tmp_path: Path) -> None:
@@ -249,7 +252,7 @@ def test_a_choice_of_topics_verifies_as_far_as_it_goes(tmp_path: Path) -> None:
     bag = recording.open(tmp_path / "bag")
     names = {topic.name.rpartition("/")[2]: topic.messages for topic in bag.topics}
     assert names == {"waveform": 5, "energy": 5, "applied": 1, "event": 1}
-    result = replay.verify(bag)
+    result = verify_recording(bag)
     assert (result.difference, result.messages, result.samples) == (None, 10, 5 * CHUNK)
 
 
@@ -260,7 +263,7 @@ def test_without_the_waveform_there_is_nothing_to_verify(tmp_path: Path) -> None
     bag = recording.open(tmp_path / "bag")
     assert len(list(bag.messages("dte"))) == 5
     with pytest.raises(GearboxError, match=r"no waveform to compare: add waveform to recording\.topics"):
-        replay.verify(bag)
+        verify_recording(bag)
 
 
 NOT_EVEN_A_BEGINNING = """
@@ -367,14 +370,14 @@ def test_a_recording_begun_after_a_fault_goes_on_through_the_reset(tmp_path: Pat
     session.finish("over")
     assert session.recorder_errors == []
     for name in ("bag", "bag_2"):
-        assert replay.verify(recording.open(tmp_path / name)).difference is None
+        assert verify_recording(recording.open(tmp_path / name)).difference is None
 
 
 def test_a_name_that_another_thread_takes_meanwhile_is_left_to_it(
     session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     names = iter([tmp_path / "bag", tmp_path / "bag_2", tmp_path / "bag", tmp_path / "bag_3"])
-    monkeypatch.setattr(recordings, "_free", lambda _: next(names))
+    monkeypatch.setattr(recording_control, "_free", lambda _: next(names))
     (tmp_path / "bag").mkdir()
     assert session.snapshot().result() == f"recorded {tmp_path / 'bag_2'}"
     assert session.start_recording() == f"recording to {tmp_path / 'bag_3'}"

@@ -20,18 +20,15 @@ from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 
 from gear_dynamics_ros import __version__, recording
-from gear_dynamics_ros.engine import kernel_hash
+from gear_dynamics_ros.channels import CHANNEL_NAMES, IMPACTS
+from gear_dynamics_ros.chunk import Chunk, Commands
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.messages import Encoder
+from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.recording import mcap_writer, writer
-from gear_dynamics_ros.recording.writer import Recorder
-from gear_dynamics_ros.signals import (
-    CHANNEL_NAMES,
-    IMPACTS,
-    Chunk,
-    Commands,
-)
+from gear_dynamics_ros.recording import recorder as recorder_module
+from gear_dynamics_ros.recording.mcap import writer
+from gear_dynamics_ros.recording.recorder import Recorder
+from gear_dynamics_ros.simulation.engine import kernel_hash
 from gear_dynamics_ros.topics import TOPICS, resolve
 from support.chunks import COMMANDS, NO_COUNTERS, chunk_of, noise
 from support.every_topic import EPOCH_NS, extra_records
@@ -262,7 +259,7 @@ def test_what_is_no_recording_is_refused(tmp_path: Path, content: bytes | None) 
 
 
 def test_queue_is_bounded_and_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(writer, "QUEUE_BYTES", 100_000)
+    monkeypatch.setattr(recorder_module, "QUEUE_BYTES", 100_000)
     encoder = Encoder(Parameters(), EPOCH_NS)
     recorder = Recorder(tmp_path / "bag", Parameters(), start_at(0), EPOCH_NS)
     for number in range(100):
@@ -309,7 +306,7 @@ def test_a_file_cut_anywhere_reads_up_to_the_cut(bag: Path, tmp_path: Path) -> N
         assert equal(rows, expected[: len(rows)])
         # no more than the chunk that was cut is gone
         kept.append(len(rows))
-        assert len(rows) * 8 * len(CHANNEL_NAMES) > length - 2 * mcap_writer.CHUNK_BYTES
+        assert len(rows) * 8 * len(CHANNEL_NAMES) > length - 2 * writer.CHUNK_BYTES
         path.unlink()
     assert kept == sorted(kept) and kept[-1] > 0
 
@@ -370,7 +367,7 @@ def child(code: str, *arguments: object) -> subprocess.Popen[str]:
 
 
 def test_kill_9_loses_nothing_that_was_flushed_and_flushes_come_by_themselves(tmp_path: Path) -> None:
-    assert writer.FLUSH_SECONDS <= 1.0  # the promise: at most the last second is lost
+    assert recorder_module.FLUSH_SECONDS <= 1.0  # the promise: at most the last second is lost
     with child(UNTIL_KILLED, tmp_path / "bag") as process:
         try:
             assert process.stdout is not None

@@ -34,22 +34,17 @@ from mcap.writer import MCAP0_MAGIC, Writer
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 
-from gear_dynamics_ros import recording, replay
+from gear_dynamics_ros import recording
+from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.cli.replay import main as replay_main
-from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.messages import (
-    Encoder,
-    deserialize,
-    serialize,
-    waveform_message,
-    waveform_samples,
-)
+from gear_dynamics_ros.messages.cdr import deserialize, serialize
+from gear_dynamics_ros.messages.decoder import waveform_samples
+from gear_dynamics_ros.messages.encoder import Encoder, waveform_message
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.recording import mcap_writer
 from gear_dynamics_ros.recording.layout import RunMetadata
-from gear_dynamics_ros.recording.recover import Report, Span, default_target, recover
-from gear_dynamics_ros.recording.survey import (
+from gear_dynamics_ros.recording.mcap import writer
+from gear_dynamics_ros.recording.mcap.survey import (
     encode,
     ending,
     read_attachment,
@@ -57,8 +52,10 @@ from gear_dynamics_ros.recording.survey import (
     read_metadata,
     survey,
 )
-from gear_dynamics_ros.run import Run
-from gear_dynamics_ros.signals import Commands
+from gear_dynamics_ros.recording.recover import Report, Span, default_target, recover
+from gear_dynamics_ros.replay.verify import verify_recording
+from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.topics import TOPICS, resolve
 from support.processes import run_python
 from support.recordings import Recorded
@@ -89,7 +86,7 @@ def record(path: Path, chunks: int, splits: Sequence[int] = ()) -> Path:
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A simulated second of the engine in three parts of many small chunks."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mcap_writer, "CHUNK_BYTES", 1 << 17)
+        patch.setattr(writer, "CHUNK_BYTES", 1 << 17)
         return record(tmp_path_factory.mktemp("recover") / "bag", CHUNKS, SPLITS)
 
 
@@ -478,7 +475,7 @@ def test_a_last_part_without_its_start_is_left_out(
 ) -> None:
     source = changed(bag, tmp_path / "source", 2, (bag / "bag_2.mcap").read_bytes()[:size])
     with pytest.raises(GearboxError, match=r"lists bag_2\.mcap, which has lost its start"):
-        replay.verify(recording.open(source))
+        verify_recording(recording.open(source))
     report = recovered(source, tmp_path / "out")
     assert dict(report.left_out) == {"bag_2.mcap": "broke off before its start"}
     assert len(report.parts) == 2 and not report.whole

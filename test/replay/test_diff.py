@@ -19,17 +19,23 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from PIL import Image
 
-from gear_dynamics_ros import divergence, recording
+from gear_dynamics_ros import recording
 from gear_dynamics_ros.analysis import figures
 from gear_dynamics_ros.analysis.comparison import Comparison, Difference
+from gear_dynamics_ros.channels import CHANNEL_NAMES
+from gear_dynamics_ros.chunk import Commands, Samples
 from gear_dynamics_ros.cli.replay import main as replay_main
-from gear_dynamics_ros.engine import Engine
-from gear_dynamics_ros.messages import Encoder
+from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.recording.pairing import BY_START, BY_TIME, pair, side_by_side
-from gear_dynamics_ros.recording.writer import Recorder
-from gear_dynamics_ros.samples import Samples
-from gear_dynamics_ros.signals import CHANNEL_NAMES, Commands
+from gear_dynamics_ros.recording.recorder import Recorder
+from gear_dynamics_ros.replay import diff
+from gear_dynamics_ros.replay.pairing import (
+    BY_START,
+    BY_TIME,
+    pair,
+    side_by_side,
+)
+from gear_dynamics_ros.simulation.engine import Engine
 from support.chunks import record_odd
 from support.recordings import SHORT, following, record
 from support.terminal import error_line
@@ -194,14 +200,14 @@ def test_a_changed_parameter_is_told_with_its_sample(
 
 def test_the_figure_shows_growth_and_overlay(folder: Path) -> None:
     a, b = (recording.open(folder / name) for name in ("plain", "changed"))
-    compared = divergence.compare(pair(a, b, BY_TIME, None, None), lambda _: None)
-    shown = divergence.chosen(compared.differences)
+    compared = diff.compare(pair(a, b, BY_TIME, None, None), lambda _: None)
+    shown = diff.chosen(compared.differences)
     name = shown[0]
     figure = figures.divergence(
         compared.envelope,
         {name: compared.differences[name] for name in shown},
         compared.pair.interval,
-        divergence.close_views(compared, name),
+        diff.close_views(compared, name),
     )
     growth = figure.axes[: len(shown)]
     assert "dte" in shown and len(shown) >= 3

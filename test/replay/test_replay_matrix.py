@@ -9,9 +9,16 @@ from pathlib import Path
 import pytest
 from std_msgs.msg import Float64
 
-from gear_dynamics_ros import recording, replay
+from gear_dynamics_ros import recording
+from gear_dynamics_ros.events import (
+    CHANGE,
+    PAUSE,
+    RESET,
+    RESTORE,
+    RESUME,
+)
 from gear_dynamics_ros.recording.recover import recover
-from gear_dynamics_ros.signals import CHANGE, PAUSE, RESET, RESTORE, RESUME
+from gear_dynamics_ros.replay.verify import verify_recording
 from support.gearbox import Client, start_gearbox
 
 PACES = {
@@ -80,13 +87,13 @@ def test_a_recording_of_the_node_verifies(ros_domain, process, tmp_path: Path, p
     bag = recording.open(tmp_path / "bag")
     assert bag.complete and len(bag.parts) >= 3
     assert {event.kind for event in bag.events} >= {CHANGE, PAUSE, RESUME, RESET, RESTORE}
-    result = replay.verify(bag)
+    result = verify_recording(bag)
     assert result.difference is None
     assert result.samples == bag.end_sample - bag.first_sample
     assert result.states >= len(bag.parts)
     for part in bag.parts:
-        assert replay.verify(recording.open(part.path)).difference is None
-    assert replay.verify(bag, bag.duration_ns / 2e9).difference is None
+        assert verify_recording(recording.open(part.path)).difference is None
+    assert verify_recording(bag, bag.duration_ns / 2e9).difference is None
 
 
 def test_what_a_killed_node_leaves_is_recovered_and_verifies(ros_domain, process, tmp_path: Path) -> None:
@@ -110,5 +117,5 @@ def test_what_a_killed_node_leaves_is_recovered_and_verifies(ros_domain, process
     bag = recording.open(tmp_path / "whole")
     assert bag.complete
     assert sum(topic.messages for topic in bag.topics) >= flushed
-    result = replay.verify(bag)
+    result = verify_recording(bag)
     assert result.difference is None and result.samples == bag.end_sample - bag.first_sample > 0

@@ -11,9 +11,9 @@ import pytest
 from std_msgs.msg import Float64
 
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.messages import applied_commands
+from gear_dynamics_ros.chunk import Commands
+from gear_dynamics_ros.messages.decoder import applied_commands
 from gear_dynamics_ros.parameters import Parameters, updated
-from gear_dynamics_ros.signals import Commands
 from support.gearbox import PATIENCE, Client, start_gearbox
 from support.processes import Process, StartProcess
 from support.recordings import record

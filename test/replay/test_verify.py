@@ -16,17 +16,19 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from gear_dynamics_ros import recording, replay
+from gear_dynamics_ros import recording
+from gear_dynamics_ros.channels import CHANNEL_NAMES, COLUMN
+from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.cli.replay import main as replay_main
-from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.messages import Encoder
+from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters, updated
+from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.recording.ring import Ring
-from gear_dynamics_ros.recording.writer import Recorder
-from gear_dynamics_ros.recordings import RecorderSink
-from gear_dynamics_ros.run import Run
-from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN, Commands
+from gear_dynamics_ros.recording.sink import RecorderSink
+from gear_dynamics_ros.replay.verify import origins, verify_recording
+from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.topics import TOPICS, resolve
 from support import altering
 from support.altering import alter, in_json, on_topic
@@ -79,14 +81,14 @@ def test_whatever_is_done_comes_out_again(
     with tempfile.TemporaryDirectory() as folder:
         path = perform(Path(folder) / "bag", deeds, parameters)
         whole = recording.open(path)
-        result = replay.verify(whole)
+        result = verify_recording(whole)
         assert (result.difference, result.samples) == (None, SHORT_CHUNK * chunks)
         assert result.states >= max(len(whole.parts), chunks * 3e-4 / checkpoints - 1 if checkpoints else 0)
         assert whole.parameters == parameters
         for part in path.glob("*.mcap"):
-            assert replay.verify(recording.open(part)).difference is None
+            assert verify_recording(recording.open(part)).difference is None
         middle = chunks * 3e-4 / 2
-        result = replay.verify(whole, middle)
+        result = verify_recording(whole, middle)
         assert result.difference is None
         assert SHORT_CHUNK * chunks / 2 - 1 <= result.samples <= SHORT_CHUNK * chunks
 
@@ -117,7 +119,7 @@ def test_what_a_ring_holds_comes_out_again(deeds: list[Any], held: float) -> Non
     run.step()
     with tempfile.TemporaryDirectory() as folder:
         found = recording.open(ring.cut().write(Path(folder) / "bag", 0, "/gearbox"))
-        result = replay.verify(found)
+        result = verify_recording(found)
         assert found.complete and result.difference is None and result.states >= 1
         wanted = min(round(held / 1e-5), engine.sample)
         assert wanted <= result.samples <= wanted * 9 / 8 + SHORT_CHUNK
@@ -138,14 +140,14 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_recording_that_is_altered_below_verifies_as_it_is(bag: Path, tmp_path: Path) -> None:
     for path in (bag, alter(bag, tmp_path / "copy")):
-        result = replay.verify(recording.open(path))
+        result = verify_recording(recording.open(path))
         assert result.difference is None
         assert result.states == 8
 
 
 def assert_found(altered: Path, what: str, sample: int) -> None:
     """Verification names ``what`` differs from ``sample`` on."""
-    difference = replay.verify(recording.open(altered)).difference
+    difference = verify_recording(recording.open(altered)).difference
     assert difference is not None
     assert what in difference.what and difference.sample == sample, difference
     assert difference.recorded != difference.simulated
@@ -309,7 +311,7 @@ def test_what_no_sample_depends_on_is_guarded_too(
     tmp_path: Path, kind: str, wanted: str, old: bytes, new: bytes | None
 ) -> None:
     found = recording.open(alter(overtaken(tmp_path), tmp_path / "x", **{kind: replaced(wanted, old, new)}))
-    difference = replay.verify(found).difference
+    difference = verify_recording(found).difference
     assert difference is not None and "messages since then" in difference.what
     assert len(str(difference.recorded)) == len(str(difference.simulated)) == 64
 
@@ -376,7 +378,7 @@ def test_another_epoch_leaves_messages_between_samples(
 ) -> None:
     altered = described_otherwise(bag, tmp_path / "x", monkeypatch, "epoch_ns")
     with pytest.raises(GearboxError, match="time 600000 ns is that of no sample"):
-        replay.verify(recording.open(altered))
+        verify_recording(recording.open(altered))
 
 
 def with_one_more(bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, topic: str, where: str) -> Path:
@@ -455,14 +457,14 @@ def test_a_message_put_in_where_none_can_be_is_refused(
 ) -> None:
     altered = with_one_more(bag, tmp_path, monkeypatch, topic, where)
     with pytest.raises(GearboxError, match=said):
-        replay.verify(recording.open(altered))
+        verify_recording(recording.open(altered))
 
 
 def test_a_zero_is_a_zero_with_either_sign(tmp_path: Path) -> None:
     zeros = [Commands(30.0, load, 1700.0) for load in (0.0, -0.0, 0.0, -0.0)]
     deeds = [deed for commands in zeros for deed in (commands, "step", "step")]
     parameters = Parameters.from_flat({**SHORT, "operation.load_torque": -0.0, "operation.speed": 1700.0})
-    assert replay.verify(recording.open(perform(tmp_path / "bag", deeds, parameters))).difference is None
+    assert verify_recording(recording.open(perform(tmp_path / "bag", deeds, parameters))).difference is None
 
 
 def test_from_behind_a_lost_chunk_goes_on(bag: Path, tmp_path: Path) -> None:
@@ -478,26 +480,26 @@ def test_from_behind_a_lost_chunk_goes_on(bag: Path, tmp_path: Path) -> None:
     shutil.copy(bag / "bag_0.mcap", tmp_path / "one")
     shutil.copy(alter(tmp_path / "one", tmp_path / "x", message=drop) / "bag_0.mcap", copy)
     assert_found(copy, "event parameters", 90)
-    assert replay.verify(recording.open(copy), 2e-3).difference is None
+    assert verify_recording(recording.open(copy), 2e-3).difference is None
 
 
 def test_a_recording_without_a_message_verifies_unless_it_broke_off(tmp_path: Path) -> None:
     parameters = Parameters.from_flat(SHORT)
     engine = Engine(parameters)
     RecorderSink(Recorder(tmp_path / "bag", parameters, engine.checkpoint(), 0), engine).close()
-    result = replay.verify(recording.open(tmp_path / "bag"))
+    result = verify_recording(recording.open(tmp_path / "bag"))
     assert (result.difference, result.samples, result.states) == (None, 0, 1)
     content = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
     for size in (10_000, 14_000):  # within the channels
         (tmp_path / "cut.mcap").write_bytes(content[:size])
         with pytest.raises(GearboxError, match="broke off before its first message"):
-            replay.verify(recording.open(tmp_path / "cut.mcap"))
+            verify_recording(recording.open(tmp_path / "cut.mcap"))
 
 
 def test_a_part_alone_verifies_to_its_end(tmp_path: Path) -> None:
     bag = overtaken(tmp_path)
     for path in bag.glob("*.mcap"):
-        result = replay.verify(recording.open(path))
+        result = verify_recording(recording.open(path))
         assert result.difference is None and result.states == 1
 
 
@@ -553,17 +555,17 @@ def test_an_event_that_cannot_be_is_told(
 def test_any_choice_of_channels_comes_out_again(tmp_path: Path, channels: tuple[str, ...]) -> None:
     parameters = Parameters.from_flat({**SHORT, "waveform_channels": channels})
     deeds = ["step", Commands(30.0, 55.0, 1700.0), "step", "reset", "step"]
-    result = replay.verify(recording.open(perform(tmp_path / "bag", deeds, parameters)))
+    result = verify_recording(recording.open(perform(tmp_path / "bag", deeds, parameters)))
     assert (result.difference, result.samples) == (None, 4 * SHORT_CHUNK)
 
 
 def test_from_begins_at_the_last_state_before(bag: Path) -> None:
     read = recording.open(bag)
-    assert replay.verify(read, 0.0).samples == 16 * SHORT_CHUNK
+    assert verify_recording(read, 0.0).samples == 16 * SHORT_CHUNK
     # the part begins at 180, checkpoints lie 90 samples apart
-    assert replay.verify(read, 2.8e-3).samples == (16 * SHORT_CHUNK) - 270
+    assert verify_recording(read, 2.8e-3).samples == (16 * SHORT_CHUNK) - 270
     with pytest.raises(UsageError, match=r"lies outside the recording: it holds 0 s to 0\.0048 s"):
-        replay.verify(read, 1.0)
+        verify_recording(read, 1.0)
 
 
 def test_a_difference_is_told_with_both_values_and_what_else_differs(
@@ -584,9 +586,9 @@ def test_a_difference_is_told_with_both_values_and_what_else_differs(
 
 def test_another_processor_or_kernel_is_named(bag: Path) -> None:
     read = recording.open(bag)
-    assert replay.origins(read) == []
+    assert origins(read) == []
     read.run = read.run._replace(processor="an abacus", kernel_hash="0" * 64)
-    kernel, processor = replay.origins(read)
+    kernel, processor = origins(read)
     assert kernel.startswith("kernel hash: recorded by 000")
     assert processor.startswith("processor: recorded by an abacus, this is ")
 
@@ -673,7 +675,7 @@ def test_what_a_part_should_begin_with_is_missed(bag: Path, tmp_path: Path, topi
     (tmp_path / "one").mkdir()
     shutil.copy(bag / "bag_1.mcap", tmp_path / "one")
     shutil.copy(alter(tmp_path / "one", tmp_path / "x", message=drop) / "bag_1.mcap", copy)
-    difference = replay.verify(recording.open(copy)).difference
+    difference = verify_recording(recording.open(copy)).difference
     assert difference is not None and difference.what == topic
 
 
@@ -682,7 +684,7 @@ def test_a_file_that_is_missing_is_told(bag: Path, tmp_path: Path, number: int) 
     copy = shutil.copytree(bag, tmp_path / "bag")
     (copy / f"bag_{number}.mcap").unlink()
     with pytest.raises(GearboxError, match=f"lists bag_{number}.mcap, which is missing"):
-        replay.verify(recording.open(copy))
+        verify_recording(recording.open(copy))
 
 
 def test_a_topic_taken_out_with_its_channel_is_missed(
@@ -695,7 +697,7 @@ def test_a_topic_taken_out_with_its_channel_is_missed(
 
     monkeypatch.setattr(altering.Writer, "register_channel", without_dte)
     drop = alter(bag, tmp_path / "x", message=lambda topic, data: None if topic == "dte" else data)
-    difference = replay.verify(recording.open(drop)).difference
+    difference = verify_recording(recording.open(drop)).difference
     assert difference is not None and difference.what == "dte"
 
 
@@ -711,7 +713,7 @@ def test_a_message_that_stands_twice_is_found(
 
     monkeypatch.setattr(altering.Writer, "add_message", twice)
     with pytest.raises(GearboxError, match="two messages of one chunk"):
-        replay.verify(recording.open(alter(bag, tmp_path / "x")))
+        verify_recording(recording.open(alter(bag, tmp_path / "x")))
 
 
 @pytest.mark.parametrize("name", ["drive_torque", "load_torque", "speed"])
@@ -720,7 +722,7 @@ def test_commands_of_the_start_told_otherwise_are_found(tmp_path: Path, name: st
         tmp_path / "bag", ["step"], Parameters.from_flat({**SHORT, "operation.control": "torque"})
     )
     change = in_json("start.json", lambda content: bump_entry(content["commands"], name))
-    difference = replay.verify(recording.open(alter(whole, tmp_path / "x", attachment=change))).difference
+    difference = verify_recording(recording.open(alter(whole, tmp_path / "x", attachment=change))).difference
     assert difference is not None and name in difference.what
 
 

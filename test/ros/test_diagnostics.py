@@ -9,7 +9,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Float64
 
-from gear_dynamics_ros.signals import Commands
+from gear_dynamics_ros.chunk import Commands
 from support.domains import free_port
 from support.gearbox import Client, start_gearbox
 from support.processes import StartProcess

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from std_msgs.msg import Float64
 
-from gear_dynamics_ros.messages import stamp_ns
-from gear_dynamics_ros.node_topics import quality
+from gear_dynamics_ros.messages.cdr import stamp_ns
 from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.ros.node_topics import quality
 from gear_dynamics_ros.topics import TOPICS
 from support.gearbox import Peer, start_gearbox
 from support.paths import ROOT

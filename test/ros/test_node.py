@@ -19,11 +19,14 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from gear_dynamics_ros import checkpoints, recording, replay
+from gear_dynamics_ros import recording
+from gear_dynamics_ros.channels import CHANNEL_NAMES, COLUMN, PACE
+from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.messages import stamp_ns
+from gear_dynamics_ros.messages.cdr import stamp_ns
 from gear_dynamics_ros.parameters import specifications
-from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN, PACE, Commands
+from gear_dynamics_ros.replay.verify import verify_recording
+from gear_dynamics_ros.simulation import checkpoints
 from gear_dynamics_ros.topics import COMMAND_TOPICS, TOPICS, resolve
 from support.gearbox import INTERVAL_NS, OUTPUTS, PATIENCE, Client, Peer, shared_gearbox, start_gearbox
 from support.processes import Process, StartProcess
@@ -429,14 +432,14 @@ def test_recording_can_be_split_switched_off_and_on(
         assert [event.kind for event in first.events] == ["start", "pause", "resume", "reset"]
         ((_, command),) = first.messages("load_torque_command")
         assert command.data == 12.5
-        assert replay.verify(first).difference is None
+        assert verify_recording(first).difference is None
         assert client.switch("record", True).message == f"recording to {tmp_path / 'bag_2'}"
         client.hear("waveform", 2)
         node.signal(signal.SIGINT)
         assert node.wait() == 0
     second = recording.open(tmp_path / "bag_2")
     assert second.complete and second.first_sample >= first.end_sample
-    assert replay.verify(second).difference is None
+    assert verify_recording(second).difference is None
 
 
 def test_sigint_twice_leaves_a_complete_recording(
@@ -617,7 +620,7 @@ def test_a_ring_is_written_when_asked_for_and_when_the_run_ends_by_a_fault(
     for name in ("bag", "bag_2", "bag_3", "bag_4"):
         found = recording.open(tmp_path / name)
         assert found.complete
-        assert replay.verify(found).difference is None
+        assert verify_recording(found).difference is None
     assert "over-speed" in found.events[-1].message
     assert 0.2 <= found.duration_ns / 1e9 <= 0.23
     assert len(recording.open(tmp_path / "bag_3").parts) >= 2

@@ -13,8 +13,13 @@ from xml.etree import ElementTree
 
 import pytest
 
-from gear_dynamics_ros.discovery import DECIDING, PROFILES, RANGE, stay_local
 from gear_dynamics_ros.parameters import specifications
+from gear_dynamics_ros.ros.discovery import (
+    DECIDING,
+    PROFILES,
+    RANGE,
+    stay_local,
+)
 from gear_dynamics_ros.topics import TOPICS, resolve
 from support.gearbox import PATIENCE, Peer, start_gearbox
 from support.paths import ROOT

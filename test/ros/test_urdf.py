@@ -13,10 +13,11 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 from urdf_parser_py.urdf import URDF
 
-from gear_dynamics_ros.engine import Engine
-from gear_dynamics_ros.messages import Encoder, deserialize
+from gear_dynamics_ros.messages.cdr import deserialize
+from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics.derived import base_radii
+from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.topics import JOINT_STATE, WRENCH
 from gear_dynamics_ros.urdf import main, urdf
 from support.gearbox import Peer, start_gearbox

@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gear_dynamics_ros.analysis import ledger
-from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.channels import CHANNEL_NAMES, COLUMN
+from gear_dynamics_ros.chunk import Chunk, Commands
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import Parameters, updated
-from gear_dynamics_ros.signals import CHANNEL_NAMES, COLUMN, Chunk, Commands
+from gear_dynamics_ros.simulation.engine import Engine
 from support.parameters import parameters
 
 TORQUE = {"operation.control": "torque"}

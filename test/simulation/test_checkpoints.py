@@ -13,13 +13,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gear_dynamics_ros import __version__, checkpoints, recording, replay
+from gear_dynamics_ros import __version__, recording
+from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.cli.simulate import main as simulate
-from gear_dynamics_ros.engine import Engine, kernel_hash
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.parameters import Parameters, Specification, specifications, updated
 from gear_dynamics_ros.physics import derived
-from gear_dynamics_ros.signals import Commands
+from gear_dynamics_ros.replay.verify import verify_recording
+from gear_dynamics_ros.simulation import checkpoints
+from gear_dynamics_ros.simulation.engine import Engine, kernel_hash
 
 LIGHT = {"operation.drive_torque": 3.0, "operation.load_torque": 3.0}
 
@@ -180,7 +182,7 @@ def test_simulate_goes_on_from_one(file: Path, tmp_path: Path) -> None:
     assert read.first_sample == 0 and read.end_sample == 500
     assert read.waveform().tobytes() == engine.advance(500).samples.tobytes()
     assert read.commands == [(0, Commands(3.0, 9.0, 1500.0))]
-    assert replay.verify(read).difference is None
+    assert verify_recording(read).difference is None
 
 
 @pytest.mark.parametrize(

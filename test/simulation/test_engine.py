@@ -16,11 +16,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.channels import CHANNEL_NAMES
+from gear_dynamics_ros.chunk import Commands, Status
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics import kernel, lanes
-from gear_dynamics_ros.signals import CHANNEL_NAMES, Commands, Status
+from gear_dynamics_ros.simulation.engine import Engine
 from support.parameters import parameters
 from support.referee import CHANNELS, Mode, Referee, nested
 
@@ -229,7 +230,7 @@ def test_centres_pressed_together_end_the_run() -> None:
 
 def test_engine_needs_neither_ros_nor_rerun_nor_matplotlib() -> None:
     blocked = "import sys; sys.modules.update(dict.fromkeys(['rclpy', 'rerun', 'matplotlib']));"
-    code = f"{blocked} import gear_dynamics_ros.engine, gear_dynamics_ros.recording, gear_dynamics_ros.replay"
+    code = f"{blocked} import gear_dynamics_ros.simulation.engine, gear_dynamics_ros.recording, gear_dynamics_ros.replay"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
@@ -295,7 +296,7 @@ def test_an_impact_list_that_is_full_ends_no_run(
     calls = []
     run = kernel.run
     monkeypatch.setattr(kernel, "run", lambda *arguments: calls.append(1) or run(*arguments))
-    monkeypatch.setattr("gear_dynamics_ros.engine.IMPACTS_A_CALL", 1)
+    monkeypatch.setattr("gear_dynamics_ros.simulation.engine.IMPACTS_A_CALL", 1)
     halting = Engine(rattling).advance(3000)
     assert len(calls) > 5
     assert halting.impacts.tobytes() == whole.impacts.tobytes()

@@ -7,12 +7,14 @@ import json
 import numpy as np
 import pytest
 
-from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.messages import Encoder, applied_commands, deserialize, waveform_samples
+from gear_dynamics_ros.messages.cdr import deserialize
+from gear_dynamics_ros.messages.decoder import applied_commands, waveform_samples
+from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters, updated
-from gear_dynamics_ros.run import Run, advice
-from gear_dynamics_ros.signals import Commands
+from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.run import Run, advice
 from gear_dynamics_ros.topics import TOPICS
 from support.sinks import Keeper
 

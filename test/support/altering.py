@@ -12,7 +12,7 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from gear_dynamics_ros.messages import deserialize, serialize
+from gear_dynamics_ros.messages.cdr import deserialize, serialize
 from gear_dynamics_ros.topics import TOPICS, resolve
 
 Change = Callable[[str, bytes], bytes | None]

@@ -8,10 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gear_dynamics_ros.messages import Encoder
+from gear_dynamics_ros.channels import CHANNEL_NAMES, ENERGIES, IMPACTS
+from gear_dynamics_ros.chunk import (
+    Chunk,
+    Commands,
+    Counters,
+    Status,
+)
+from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.recording.writer import Recorder
-from gear_dynamics_ros.signals import CHANNEL_NAMES, ENERGIES, IMPACTS, Chunk, Commands, Counters, Status
+from gear_dynamics_ros.recording.recorder import Recorder
 
 INTERVAL_NS = 10_000
 NO_COUNTERS = Counters(0, 0, 0, 0, 0)

@@ -10,13 +10,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gear_dynamics_ros.engine import Engine
-from gear_dynamics_ros.messages import Encoder, Record, message_class, serialize, stamp
+from gear_dynamics_ros.channels import PACE
+from gear_dynamics_ros.chunk import Chunk, Commands
+from gear_dynamics_ros.events import PAUSE, RESUME
+from gear_dynamics_ros.messages.cdr import message_class, serialize, stamp
+from gear_dynamics_ros.messages.encoder import Encoder, Record
 from gear_dynamics_ros.parameters import Parameters, updated
-from gear_dynamics_ros.recording.writer import Recorder
-from gear_dynamics_ros.recordings import RecorderSink
-from gear_dynamics_ros.run import Run
-from gear_dynamics_ros.signals import PACE, PAUSE, RESUME, Chunk, Commands
+from gear_dynamics_ros.recording.recorder import Recorder
+from gear_dynamics_ros.recording.sink import RecorderSink
+from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.topics import TOPICS, resolve
 
 EPOCH_NS = 1_700_000_000_123_456_789

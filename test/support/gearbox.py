@@ -23,10 +23,12 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
-from gear_dynamics_ros.messages import applied_commands, stamp_ns
-from gear_dynamics_ros.node_topics import message_type, quality
+from gear_dynamics_ros.channels import CHANNEL_NAMES
+from gear_dynamics_ros.chunk import Commands
+from gear_dynamics_ros.messages.cdr import stamp_ns
+from gear_dynamics_ros.messages.decoder import applied_commands
 from gear_dynamics_ros.parameters import specifications
-from gear_dynamics_ros.signals import CHANNEL_NAMES, Commands
+from gear_dynamics_ros.ros.node_topics import message_type, quality
 from gear_dynamics_ros.topics import COMMAND_TOPICS, TOPICS, resolve
 from support.processes import Process, StartProcess
 

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.optimize import brentq, root
 
-from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics import derived, kernel
 from gear_dynamics_ros.physics.restitution import damping_factor
 from gear_dynamics_ros.physics.surface import fractal_surface
-from gear_dynamics_ros.signals import Commands
+from gear_dynamics_ros.simulation.engine import Engine
 
 Vector = NDArray[np.float64]
 

@@ -7,13 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.engine import Engine
-from gear_dynamics_ros.messages import Encoder, message_class, serialize
+from gear_dynamics_ros.channels import PACE
+from gear_dynamics_ros.chunk import Commands
+from gear_dynamics_ros.messages.cdr import message_class, serialize
+from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters, updated
-from gear_dynamics_ros.recording.writer import Recorder
-from gear_dynamics_ros.recordings import RecorderSink
-from gear_dynamics_ros.run import Run
-from gear_dynamics_ros.signals import PACE, Commands
+from gear_dynamics_ros.recording.recorder import Recorder
+from gear_dynamics_ros.recording.sink import RecorderSink
+from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.topics import FLOAT64, FLOAT_COMMANDS
 
 Act = Callable[[Run, int], Commands | None]

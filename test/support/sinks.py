@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gear_dynamics_ros.messages import Record
-from gear_dynamics_ros.signals import Chunk
+from gear_dynamics_ros.chunk import Chunk
+from gear_dynamics_ros.messages.encoder import Record
 
 
 class Keeper:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from gear_dynamics_ros.threads import name_thread, wake_punctually
+from gear_dynamics_ros.system.threads import name_thread, wake_punctually
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs Linux's /proc")
 

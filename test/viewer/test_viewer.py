@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.channels import COLUMN
+from gear_dynamics_ros.chunk import Chunk
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.signals import COLUMN, Chunk
+from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.viewer import Viewer, open_viewer
 from gear_dynamics_ros.viewer.decimation import extremes
 from gear_dynamics_ros.viewer.stream import contiguous
