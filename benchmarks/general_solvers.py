@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.palette import BLUE, DIM, GREEN, GREY, ORANGE, PURPLE, SKY
-from gear_dynamics_ros.parameters import Parameters, load
+from gear_dynamics_ros.parameters import Parameters, load_parameters
 from gear_dynamics_ros.simulation.engine import Engine
 
 SOURCE = Path(__file__).resolve().parent.parent
@@ -73,7 +73,7 @@ def compare(repeats: int = REPEATS, plot: Path | None = None) -> list[str]:
 
 def measure(path: Path, repeats: int) -> list[Result]:
     """Every solver at every setting on the parameters of one file, in turn, ``repeats`` times."""
-    parameters = load(path)
+    parameters = load_parameters(path)
     reference = referee_dte(path)
     runs = {ENGINE: engine_runs(path), **solver_runs(parameters)}
     errors = {
@@ -102,7 +102,7 @@ def referee_dte(path: Path) -> NDArray[np.float64]:
 
 def engine_runs(path: Path) -> dict[str, Run]:
     """A run at each step; it goes one sample interval further than those of the other solvers."""
-    engines = {step: Engine(load(path, [f"solver.step={step}"])) for step in STEPS}
+    engines = {step: Engine(load_parameters(path, [f"solver.step={step}"])) for step in STEPS}
     return {step: partial(rerun, engine, engine.checkpoint()) for step, engine in engines.items()}
 
 

@@ -71,7 +71,7 @@ def chunks_made(parameters: Parameters) -> list[list[Record]]:
 def record(made: Sequence[Sequence[Record]], path: Path) -> Path:
     """Recording of what was made."""
     parameters = parameters_of("gearbox")
-    recorder = Recorder(path, parameters, Engine(parameters).checkpoint(), 0)
+    recorder = Recorder(path, Engine(parameters).checkpoint(), 0)
     for records in made:
         recorder.write(records)
     recorder.close()
@@ -119,7 +119,7 @@ def _bytes(path: Path) -> int:
 def _cpu_of_recorder(made: Sequence[Sequence[Record]], path: Path) -> float:
     """Processor time of the recorder's thread, s."""
     parameters = parameters_of("gearbox")
-    recorder = Recorder(path, parameters, Engine(parameters).checkpoint(), 0)
+    recorder = Recorder(path, Engine(parameters).checkpoint(), 0)
     began = _clock_of(recorder)
     for records in made:
         recorder.write(records)
@@ -168,7 +168,7 @@ def handing(made: Sequence[Sequence[Record]], place: Path) -> Lines:
     """How long handing over holds the engine, at the pace of real time and with a split every SPLIT."""
     parameters = updated(parameters_of("gearbox"), {"recording.split_duration": SPLIT})
     engine = Engine(parameters)
-    recorder = Recorder(place / "handed", parameters, engine.checkpoint(), 0)
+    recorder = Recorder(place / "handed", engine.checkpoint(), 0)
     sink = RecorderSink(recorder, engine)
     chunk = engine.advance()
     held = []
@@ -293,7 +293,7 @@ def _engines(parameters: Parameters, cores: Sequence[int]) -> None:
 
 def _simulated(parameters: Parameters, path: Path) -> Path:
     engine = Engine(parameters)
-    recorder = Recorder(path, parameters, engine.checkpoint(), 0)
+    recorder = Recorder(path, engine.checkpoint(), 0)
     run = Run(engine, Encoder(parameters, 0), [RecorderSink(recorder, engine)], duration=VERIFIED)
     while not run.end:
         run.step()

@@ -22,11 +22,12 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from gear_dynamics_ros import palette
-from gear_dynamics_ros.cli.common import FAILURE, Progress, guarded
+from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.cdr import deserialize
-from gear_dynamics_ros.parameters import load
+from gear_dynamics_ros.parameters import load_parameters
 from gear_dynamics_ros.simulation.provenance import processor
+from gear_dynamics_ros.system.command import FAILURE, run_command
 from gear_dynamics_ros.topics import TOPICS
 
 DURATION = 600.0  # s of wall time, as are the next
@@ -91,7 +92,7 @@ def main() -> int:
     parser.add_argument(
         "--output", type=Path, metavar="FILE", help=f"write the page there too, and {PICTURE} beside it"
     )
-    return guarded(lambda arguments: report(soak(arguments.duration), arguments.output), parser, None)
+    return run_command(lambda arguments: report(soak(arguments.duration), arguments.output), parser, None)
 
 
 def soak(duration: float) -> Found:
@@ -101,7 +102,7 @@ def soak(duration: float) -> Found:
     """
     if not SHORTEST <= duration < math.inf:
         raise UsageError(f"--duration {duration:g}: it takes at least {SHORTEST:g} s, and an end")
-    parameters = load(PARAMETERS, [])
+    parameters = load_parameters(PARAMETERS, [])
     samples = Samples(parameters.solver.sample_interval_ns)
     looks: list[Look] = []
     commands = 0

@@ -21,7 +21,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.messages.encoder import Encoder
-from gear_dynamics_ros.parameters import Parameters, load
+from gear_dynamics_ros.parameters import Parameters, load_parameters
 from gear_dynamics_ros.physics import derived, kernel
 from gear_dynamics_ros.physics.lanes import pointer, store
 from gear_dynamics_ros.recording.recorder import Recorder
@@ -54,7 +54,7 @@ class Costs(NamedTuple):
 
 def parameters_of(name: str, *overrides: str, model: str = "improved") -> Parameters:
     """Those of config/``name``.yaml."""
-    return replace(load(SOURCE / "config" / f"{name}.yaml", list(overrides)), model=model)
+    return replace(load_parameters(SOURCE / "config" / f"{name}.yaml", list(overrides)), model=model)
 
 
 def turns(engines: Mapping[str, Engine]) -> NDArray[np.float64]:
@@ -150,7 +150,7 @@ def seconds_recording(parameters: Parameters) -> float:
     engine = Engine(parameters)
     run(engine, WARM)
     with tempfile.TemporaryDirectory() as folder:
-        recorder = Recorder(Path(folder) / "bag", parameters, engine.checkpoint(), 0)
+        recorder = Recorder(Path(folder) / "bag", engine.checkpoint(), 0)
         encoder = Encoder(parameters, 0)
         began = time.perf_counter()
         for _ in range(round(RECORDED_TURN / parameters.solver.chunk)):
@@ -170,7 +170,7 @@ def referee() -> list[str]:
 
 def referee_error(case: str, divisor: int) -> float:
     """Largest deviation of DTE, m, from an independent solver's run at a fraction of the usual step."""
-    parameters = load(CASES / f"{case}.yaml", [f"solver.step={1e-6 / divisor!r}"])
+    parameters = load_parameters(CASES / f"{case}.yaml", [f"solver.step={1e-6 / divisor!r}"])
     with (CASES / f"{case}.csv").open(encoding="utf-8") as file:
         reference = np.array([float(entry["dte"]) for entry in csv.DictReader(file)])[:REFEREE_SAMPLES]
     dte = Engine(parameters).advance(REFEREE_SAMPLES)["dte"]

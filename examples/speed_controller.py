@@ -15,7 +15,7 @@ from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
-from gear_dynamics_ros.discovery import stay_local
+from gear_dynamics_ros.ros.discovery import stay_local
 
 SILENCE = 1.0  # s of wall time without joint_states after which the loop is open
 LONGEST_STEP = 0.05  # s of simulated time that the integral takes for one message

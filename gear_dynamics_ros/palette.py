@@ -1,4 +1,4 @@
-"""Colours that stay apart for colour-blind eyes (Okabe and Ito, 2008)."""
+"""Colours that colour-blind people can tell apart (M. Okabe, K. Ito, "Color Universal Design", 2008)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The table of topics: name, type, quality of service and content of each."""
+"""The table of topics: name, type, content and quality of service of each."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from typing import Final, NamedTuple
 
 
 class Topic(NamedTuple):
-    """One topic of the node: its name, type, quality of service and content."""
+    """One topic of the node: its name, message type, content and quality of service."""
 
     name: str  # "~/..." below the node, "/..." absolute, else in the node's namespace
     type: str
-    reliable: bool
-    depth: int
-    latched: bool
-    help: str
+    content: str
+    reliable: bool = True
+    depth: int = 10  # messages kept for a subscriber that is late
+    latched: bool = False  # the last messages also reach who subscribes later
 
 
 FLOAT64 = "std_msgs/msg/Float64"
@@ -23,6 +23,7 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 ARRAY = "std_msgs/msg/Float64MultiArray"
 CLOCK = "rosgraph_msgs/msg/Clock"
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
 # A subscriber that stalls for a second at the default 500 Hz still gets every chunk of the waveform.
 WAVEFORM_DEPTH = 500
@@ -31,95 +32,67 @@ COMMAND_DEPTH = 100
 
 TOPICS: Final[dict[str, Topic]] = {
     "drive_torque_command": Topic(
-        "~/command/drive_torque", FLOAT64, True, COMMAND_DEPTH, False, "drive torque to apply, N m"
+        "~/command/drive_torque", FLOAT64, "drive torque to apply, N m", depth=COMMAND_DEPTH
     ),
     "load_torque_command": Topic(
-        "~/command/load_torque", FLOAT64, True, COMMAND_DEPTH, False, "load torque to apply, N m"
+        "~/command/load_torque", FLOAT64, "load torque to apply, N m", depth=COMMAND_DEPTH
     ),
-    "speed_command": Topic("~/command/speed", FLOAT64, True, COMMAND_DEPTH, False, "speed set-point, rad/s"),
+    "speed_command": Topic("~/command/speed", FLOAT64, "speed set-point, rad/s", depth=COMMAND_DEPTH),
     "joint_command": Topic(
         "~/command/joint",
         JOINT_STATE,
-        True,
-        COMMAND_DEPTH,
-        False,
         "driving: velocity = set-point rad/s, effort = drive torque N m; driven: effort = load torque N m",
+        depth=COMMAND_DEPTH,
     ),
     "joint_states": Topic(
         "joint_states",
         JOINT_STATE,
-        True,
-        10,
-        False,
         "driving, driven (rad, rad/s, N m) and mesh (DTE m, its rate m/s, mesh force N)",
     ),
-    "dte": Topic("~/dte", FLOAT64, True, 10, False, "dynamic transmission error, m"),
-    "mesh_force": Topic("~/mesh_force", FLOAT64, True, 10, False, "force along the line of action, N"),
-    "pressure_angle": Topic("~/pressure_angle", FLOAT64, True, 10, False, "working pressure angle, rad"),
+    "dte": Topic("~/dte", FLOAT64, "dynamic transmission error, m"),
+    "mesh_force": Topic("~/mesh_force", FLOAT64, "force along the line of action, N"),
+    "pressure_angle": Topic("~/pressure_angle", FLOAT64, "working pressure angle, rad"),
     "driving_bearing_force": Topic(
-        "~/bearing_force/driving", WRENCH, True, 10, False, "contact and film force on the driving gear, N"
+        "~/bearing_force/driving", WRENCH, "contact and film force on the driving gear, N"
     ),
     "driven_bearing_force": Topic(
-        "~/bearing_force/driven", WRENCH, True, 10, False, "contact and film force on the driven gear, N"
+        "~/bearing_force/driven", WRENCH, "contact and film force on the driven gear, N"
     ),
     "waveform": Topic(
-        "~/waveform", ARRAY, True, WAVEFORM_DEPTH, False, "every sample of the chunk, a row each; SI units"
+        "~/waveform", ARRAY, "every sample of the chunk, a row each; SI units", depth=WAVEFORM_DEPTH
     ),
-    "energy": Topic(
-        "~/energy",
-        ARRAY,
-        True,
-        10,
-        False,
-        "works and losses since the start or the last reset, and stored, J",
-    ),
+    "energy": Topic("~/energy", ARRAY, "works and losses since the start or the last reset, and stored, J"),
     "impacts": Topic(
         "~/impacts",
         ARRAY,
-        True,
-        WAVEFORM_DEPTH,
-        False,
         "a row for each bearing contact that ended in the chunk, nothing where none did; SI units",
+        depth=WAVEFORM_DEPTH,
     ),
-    "meshing_state": Topic("~/meshing_state", INT8, True, 10, False, "1 drive flank, 0 apart, -1 back flank"),
-    "diagnostics": Topic(
-        "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", True, 10, False, "health of engine and sinks"
-    ),
-    "pacing": Topic(
-        "~/pacing",
-        ARRAY,
-        True,
-        10,
-        False,
-        "once a second: real-time factor reached, overruns, lateness, slip",
-    ),
-    "clock": Topic("/clock", CLOCK, False, 1, False, "simulated time"),
+    "meshing_state": Topic("~/meshing_state", INT8, "1 drive flank, 0 apart, -1 back flank"),
+    "diagnostics": Topic("/diagnostics", DIAGNOSTICS, "health of engine and sinks"),
+    "pacing": Topic("~/pacing", ARRAY, "once a second: real-time factor reached, overruns, lateness, slip"),
+    "clock": Topic("/clock", CLOCK, "simulated time", reliable=False, depth=1),
     "applied_command": Topic(
         "~/command/applied",
         JOINT_STATE,
-        True,
-        1,
-        True,
         "commands in force, stamped at the sample where they take effect; laid out like ~/command/joint",
+        depth=1,
+        latched=True,
     ),
     "model_info": Topic(
         "~/model_info",
         STRING,
-        True,
-        1,
-        True,
         "JSON: version, kernel hash, parameters in force, columns and units, joints, frames, epoch of stamps",
+        depth=1,
+        latched=True,
     ),
     "event": Topic(
         "~/event",
         STRING,
-        True,
-        10,
-        True,
-        "JSON: sample, time (s), event, message, counters; parameters that changed, a restored checkpoint",
+        "JSON: sample, time (s), event, message, counters; parameters, checkpoint, commands that it brought",
+        latched=True,
     ),
 }
-
 
 # Those that command one thing, by the field of Commands that it is; and the one that may command all.
 FLOAT_COMMANDS: Final = {
@@ -129,7 +102,7 @@ FLOAT_COMMANDS: Final = {
 }
 JOINT_COMMAND: Final = "joint_command"
 COMMAND_TOPICS: Final = (*FLOAT_COMMANDS, JOINT_COMMAND)
-# What the encoder makes of a chunk, in that order; impacts only where some ended.
+# What the encoder makes of a chunk, in that order; impacts only where some ended, the clock at its rate.
 OF_A_CHUNK: Final = (
     "joint_states",
     "dte",
@@ -140,6 +113,7 @@ OF_A_CHUNK: Final = (
     "meshing_state",
     "energy",
     "impacts",
+    "clock",
     "waveform",
 )
 

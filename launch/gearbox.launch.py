@@ -1,6 +1,6 @@
 """Start the gearbox: ``ros2 launch gear_dynamics_ros gearbox.launch.py params_file:=FILE name:=NAME``.
 
-``viewer:=true`` starts a Rerun viewer with it.
+With ``viewer:=true`` a Rerun viewer shows it.
 """
 
 from pathlib import Path
@@ -19,7 +19,7 @@ VIEWER_PORT = "9876"
 def generate_launch_description() -> LaunchDescription:
     default_parameters = Path(get_package_share_directory("gear_dynamics_ros")) / "config" / "gearbox.yaml"
     viewer = LaunchConfiguration("viewer")
-    # The gearbox feeds the viewer once it answers, so neither has to be first.
+    # The gearbox sends data as soon as the viewer answers, so the order of the two starts does not matter.
     feeding = {"rerun.mode": "connect", "rerun.url": f"rerun+http://127.0.0.1:{VIEWER_PORT}/proxy"}
     return LaunchDescription(
         [
@@ -29,7 +29,7 @@ def generate_launch_description() -> LaunchDescription:
                 "params_file", default_value=str(default_parameters), description="ROS parameter file"
             ),
             DeclareLaunchArgument(
-                "viewer", default_value="false", description="whether to watch it in a Rerun viewer"
+                "viewer", default_value="false", description="whether to start a Rerun viewer"
             ),
             ExecuteProcess(
                 cmd=["rerun", "--bind", "127.0.0.1", "--port", VIEWER_PORT], condition=IfCondition(viewer)
@@ -49,7 +49,7 @@ def _gearbox(parameters: list[Any], condition: Any) -> Node:
         parameters=parameters,
         condition=condition,
         output="screen",
-        # A recording is finalised on SIGINT; leave it the time.
+        # The node completes its recording on SIGINT, which takes time.
         sigterm_timeout="30",
         sigkill_timeout="30",
     )

@@ -1,7 +1,7 @@
-"""Play a profile to a gearbox of its own: ``ros2 launch gear_dynamics_ros harness.launch.py profile:=FILE``.
+"""Start a gearbox and play a profile: ``ros2 launch gear_dynamics_ros harness.launch.py profile:=FILE``.
 
-Takes the arguments of gearbox.launch.py too. It ends with the profile; the exit code is 0 if that was played
-and every expectation held, else 1.
+It also takes the arguments of gearbox.launch.py. It ends with the profile. The exit code is 0 if the profile
+was played to its end and all expectations passed, else 1.
 """
 
 from pathlib import Path
@@ -23,7 +23,7 @@ def generate_launch_description() -> LaunchDescription:
         [
             DeclareLaunchArgument("profile", default_value=str(profile), description="profile to play"),
             DeclareLaunchArgument(
-                "junit", default_value="", description="file for the results as JUnit XML, empty for none"
+                "junit", default_value="", description="file for the results as JUnit XML; empty: none"
             ),
             IncludeLaunchDescription(PythonLaunchDescriptionSource(str(gearbox))),
             OpaqueFunction(function=_drive),
@@ -36,7 +36,7 @@ def _drive(context: LaunchContext) -> list[Node]:
         name: LaunchConfiguration(name).perform(context) for name in ("profile", "junit", "namespace", "name")
     }
     node = f"/{chosen['namespace'].strip('/')}/{chosen['name']}".replace("//", "/")
-    # The first start on a machine compiles the kernel.
+    # The first start on a machine compiles the kernel, which takes up to a minute.
     arguments = [chosen["profile"], "--node", node, "--wait", "120"]
     if chosen["junit"]:
         arguments += ["--junit", chosen["junit"]]
@@ -52,7 +52,7 @@ def _drive(context: LaunchContext) -> list[Node]:
 
 
 def _end(event: Any, context: LaunchContext) -> list[Shutdown]:
-    """Launch has no other way to an exit code of its own than an error."""
+    """An error is the only way to make ``ros2 launch`` exit with a code other than 0."""
     if event.returncode != 0:
         raise RuntimeError(f"drive ended with exit code {event.returncode}")
-    return [Shutdown(reason="the profile was played, every expectation held")]
+    return [Shutdown(reason="the profile was played, all expectations passed")]

@@ -18,7 +18,10 @@ ROOT: Final = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from gear_dynamics_ros import palette  # noqa: E402
-from gear_dynamics_ros.parameters import Bearing, Parameters  # noqa: E402
+from gear_dynamics_ros.parameters import (  # noqa: E402
+    BearingParameters,
+    Parameters,
+)
 from gear_dynamics_ros.physics import derived  # noqa: E402
 from gear_dynamics_ros.simulation.engine import Engine  # noqa: E402
 
@@ -62,7 +65,7 @@ class Trace(NamedTuple):
         return change / scale
 
 
-def contact_energy(p: Parameters, bearing: Bearing, depth: float) -> float:
+def contact_energy(p: Parameters, bearing: BearingParameters, depth: float) -> float:
     """Elastic energy of a Hertz contact pressed in by ``depth`` m, J."""
     if depth <= 0.0:
         return 0.0
@@ -93,7 +96,7 @@ def trace(geometry: str, step: float) -> Trace:
     engine = Engine(p)
     rows = []
     for _ in range(round(DURATION / p.solver.sample_interval) + 1):
-        state = engine.checkpoint()["state"]
+        state = engine.checkpoint().state
         sample = engine.advance(1)  # shows the state before its steps
         dte, half_backlash = float(sample["dte"][0]), float(sample["half_backlash"][0])
         rows.append((float(sample["time"][0]), *energies(p, state, dte, half_backlash)))

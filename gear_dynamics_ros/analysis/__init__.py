@@ -1,1 +1,1 @@
-"""Recordings into numbers and pictures: arrays in, arrays out; only ``figures`` needs matplotlib."""
+"""Arrays in, arrays and numbers out; opens no file. Only ``figures`` imports matplotlib."""

@@ -1,9 +1,9 @@
-"""Pictures of a recording; every function returns a matplotlib Figure that touches no global state."""
+"""Figures of a run. Each is a matplotlib Figure drawn without pyplot or any other global state."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, BinaryIO, Final, NamedTuple, cast
 
 import matplotlib as mpl
 import numpy as np
@@ -13,27 +13,28 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from gear_dynamics_ros import palette
-from gear_dynamics_ros.analysis.comparison import Difference
-from gear_dynamics_ros.analysis.spectra import amplitude_spectrum
+from gear_dynamics_ros.analysis.comparison import ChannelDifference
+from gear_dynamics_ros.analysis.spectra import MIN_SAMPLES, amplitude_spectrum
 from gear_dynamics_ros.analysis.statistics import Envelope, bearing_force_name
-from gear_dynamics_ros.analysis.summary import UNITS, mesh_rate, section
+from gear_dynamics_ros.analysis.summary import QUANTITY_UNITS, observed_mesh_frequency, poincare_section
+from gear_dynamics_ros.channels import GEARS, contact_channels, film_channels
+from gear_dynamics_ros.chunk import Samples
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.samples import GEARS, Samples, contact_channels, film_channels
 
 MICRO: Final = 1e6
 KILO: Final = 1e-3
-MESH_PERIODS: Final = 12
-FEWEST_SAMPLES: Final = 60
-UNKNOWN_PERIODS: Final = 500  # samples shown where the mesh frequency isn't known
-MARKED_SAMPLES: Final = 400  # up to which every sample gets a dot
-CLOSEST_VIEW: Final = 1.5  # um, half a side
-DRAWN_SAMPLES: Final = 20_000
-LOOP_SAMPLES: Final = 5_000
+SERIES_PERIODS: Final = 12  # mesh periods in the time series
+SERIES_MIN_SAMPLES: Final = 60
+SERIES_SAMPLES: Final = 500  # where the mesh frequency isn't known
+DOTTED_SAMPLES: Final = 400  # up to this number every sample gets a dot
+MIN_HALF_SIDE: Final = 1.5  # of a close view of an orbit, um
+ORBIT_SAMPLES: Final = 20_000  # drawn of orbits and phase portrait
+LOOP_SAMPLES: Final = 5_000  # drawn of force over penetration
 DYNAMIC_RANGE: Final = 1e5  # of the spectrum's amplitude axis
 ORDERS: Final = 5.5  # mesh orders on the spectrum's frequency axis
-MOST_MARKS: Final = 40  # command changes marked one by one
+MAX_CHANGE_LINES: Final = 40  # changes marked by a line each; above that, by ticks
 
-STYLE: Final[dict[str, Any]] = {
+FIGURE_STYLE: Final[dict[str, Any]] = {
     "font.size": 9.5,
     "font.family": "DejaVu Sans",
     "axes.spines.top": False,
@@ -54,88 +55,117 @@ STYLE: Final[dict[str, Any]] = {
     "figure.dpi": 140,
     "agg.path.chunksize": 20000,
 }
-COLOURS: Final = {"driving": palette.BLUE, "driven": palette.ORANGE}
+GEAR_COLOURS: Final = {"driving": palette.BLUE, "driven": palette.ORANGE}
 
 
-class Curve(NamedTuple):
-    """One quantity of the overview in one panel."""
+class OverviewCurve(NamedTuple):
+    """One quantity in a panel of the overview."""
 
     name: str
     label: str
     colour: str
 
 
-class Panel(NamedTuple):
-    """One strip of the overview."""
+class OverviewPanel(NamedTuple):
+    """One panel of the overview: ``scale`` turns SI units into those of ``axis_label``."""
 
     axis_label: str
     scale: float
-    curves: tuple[Curve, ...]
+    curves: tuple[OverviewCurve, ...]
 
 
-OVERVIEW: Final = (
-    Panel(
+OVERVIEW_PANELS: Final = (
+    OverviewPanel(
         "speed\n(rad/s)",
         1.0,
         (
-            Curve("driving_speed", "driving", palette.BLUE),
-            Curve("driven_speed", "driven", palette.ORANGE),
+            OverviewCurve("driving_speed", "driving", palette.BLUE),
+            OverviewCurve("driven_speed", "driven", palette.ORANGE),
         ),
     ),
-    Panel(
+    OverviewPanel(
         "torque\n(N m)",
         1.0,
-        (Curve("drive_torque", "drive", palette.BLUE), Curve("load_torque", "load", palette.ORANGE)),
+        (
+            OverviewCurve("drive_torque", "drive", palette.BLUE),
+            OverviewCurve("load_torque", "load", palette.ORANGE),
+        ),
     ),
-    Panel("DTE\n(µm)", MICRO, (Curve("dte", "", palette.BLUE),)),
-    Panel("mesh force\n(kN)", KILO, (Curve("mesh_force", "", palette.BLUE),)),
-    Panel(
+    OverviewPanel("DTE\n(µm)", MICRO, (OverviewCurve("dte", "", palette.BLUE),)),
+    OverviewPanel("mesh force\n(kN)", KILO, (OverviewCurve("mesh_force", "", palette.BLUE),)),
+    OverviewPanel(
         "bearing force\n(kN)",
         KILO,
-        tuple(Curve(bearing_force_name(gear), gear, COLOURS[gear]) for gear in GEARS),
+        tuple(OverviewCurve(bearing_force_name(gear), gear, GEAR_COLOURS[gear]) for gear in GEARS),
     ),
-    Panel(
+    OverviewPanel(
         "penetration\n(µm)",
         MICRO,
-        tuple(Curve(f"{gear}_penetration", gear, COLOURS[gear]) for gear in GEARS),
+        tuple(OverviewCurve(f"{gear}_penetration", gear, GEAR_COLOURS[gear]) for gear in GEARS),
     ),
 )
 
 
-def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
-    """``draw`` with the package's style in force, and only within it."""
+def _styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
+    """``draw`` with FIGURE_STYLE in force while it runs."""
 
     def wrapper(*args: Any, **keywords: Any) -> Figure:
-        with mpl.rc_context(cast(Any, STYLE)):  # its stub wants a literal for every key
+        with mpl.rc_context(cast(Any, FIGURE_STYLE)):  # its stub wants a literal for every key
             return draw(*args, **keywords)
 
     return wrapper
 
 
-def has_overview(envelope: Envelope) -> bool:
-    """Whether any panel has something to show."""
-    return bool(_panels(envelope))
+def recording_figures(
+    envelope: Envelope, samples: Samples, parameters: Parameters, changes: Sequence[float]
+) -> dict[str, Callable[[], Figure]]:
+    """What draws each figure of a run by its file name, without those whose channels are missing.
+
+    ``envelope`` is that of the whole run, ``samples`` are those of the window of the other figures,
+    ``changes`` the times of commands and events in s.
+    """
+    window = (float(samples.time[0]), float(samples.time[-1]))
+    motion = [f"{gear}_{axis}" for gear in GEARS for axis in "xy"]
+    loops = [name for gear in GEARS for name in (f"{gear}_penetration", *contact_channels(gear))]
+    possible: dict[str, tuple[bool, Callable[[], Figure]]] = {
+        "overview": (bool(_panels(envelope)), lambda: overview_figure(envelope, changes, window)),
+        "time_series": (samples.has("dte"), lambda: time_series_figure(samples, parameters)),
+        "spectrum": (
+            samples.has("dte") and len(samples) >= MIN_SAMPLES,
+            lambda: spectrum_figure(samples),
+        ),
+        "phase_portrait": (samples.has("dte", "dte_rate"), lambda: phase_portrait_figure(samples)),
+        "orbits": (samples.has(*motion), lambda: orbits_figure(samples, parameters)),
+        "bearing_force": (samples.has(*loops), lambda: bearing_force_figure(samples)),
+    }
+    return {name: draw for name, (drawable, draw) in possible.items() if drawable}
 
 
-@styled
-def overview(envelope: Envelope, changes: Sequence[float], window: tuple[float, float]) -> Figure:
-    """The whole run: lowest and highest of each quantity in every pixel's worth of time.
+def write_png(figure: Figure, stream: BinaryIO) -> None:
+    """Write ``figure`` to ``stream``. Raises OSError if that fails."""
+    figure.savefig(stream, format="png")
 
-    ``changes``: times of commands and events in s, marked; ``window``: the stretch the other figures show.
+
+@_styled
+def overview_figure(envelope: Envelope, changes: Sequence[float], window: tuple[float, float]) -> Figure:
+    """The whole run: minimum and maximum of each quantity over time.
+
+    Marked are ``changes``, the times of commands and events in s, and ``window``, the start and end in s of
+    what the other figures show.
     """
     panels = _panels(envelope)
     figure = Figure(figsize=(10.0, 1.0 + 1.45 * len(panels)), layout="constrained")
     axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
-    time = envelope.time
+    times = envelope.times()
     for axis, panel in zip(axes, panels, strict=True):
         for number, curve in enumerate(panel.curves):
             low, high = (panel.scale * bound for bound in envelope.bounds(curve.name))
             # Only the first is filled: two fills over each other would hide both.
             fill = {"facecolor": (curve.colour, 0.0 if number else 0.35)}
             axis.fill_between(
-                time, low, high, **fill, edgecolor=curve.colour, linewidth=0.7, label=curve.label
+                times, low, high, **fill, edgecolor=curve.colour, linewidth=0.7, label=curve.label
             )
-        if len(changes) <= MOST_MARKS or axis is axes[0]:
+        if len(changes) <= MAX_CHANGE_LINES or axis is axes[0]:
             _mark_changes(axis, changes)
         axis.axvspan(*window, color=palette.GREEN, alpha=0.13, linewidth=0)
         axis.set_ylabel(panel.axis_label)
@@ -148,14 +178,17 @@ def overview(envelope: Envelope, changes: Sequence[float], window: tuple[float, 
     return figure
 
 
-def _panels(envelope: Envelope) -> list[Panel]:
-    there = set(envelope.names)
-    kept = (panel._replace(curves=tuple(c for c in panel.curves if c.name in there)) for panel in OVERVIEW)
+def _panels(envelope: Envelope) -> list[OverviewPanel]:
+    present = set(envelope.names)
+    kept = (
+        panel._replace(curves=tuple(c for c in panel.curves if c.name in present))
+        for panel in OVERVIEW_PANELS
+    )
     return [panel for panel in kept if panel.curves]
 
 
 def _mark_changes(axis: Axes, changes: Sequence[float]) -> None:
-    if len(changes) <= MOST_MARKS:
+    if len(changes) <= MAX_CHANGE_LINES:
         for time in changes:
             axis.axvline(time, color=palette.GREY, linewidth=0.8, linestyle=(0, (3, 3)))
     else:
@@ -175,12 +208,15 @@ def _overview_title(changes: int) -> str:
     return f"Whole run ({marks}green: window of the other figures)"
 
 
-@styled
-def time_series(samples: Samples, parameters: Parameters) -> Figure:
-    """The last mesh periods of a window, every sample: DTE between the flanks, mesh force, bearing forces."""
+@_styled
+def time_series_figure(samples: Samples, parameters: Parameters) -> Figure:
+    """The last mesh periods of a window, sample by sample: DTE and flanks, mesh force, bearing forces.
+
+    What wasn't recorded is left out.
+    """
     shown = samples.last(_period_samples(samples))
     milliseconds = 1e3 * (shown.time - shown.time[0])
-    dots = {"marker": "." if len(shown) <= MARKED_SAMPLES else "", "markersize": 3.0}
+    dots = {"marker": "." if len(shown) <= DOTTED_SAMPLES else "", "markersize": 3.0}
     figure = Figure(figsize=(10.0, 7.6), layout="constrained")
     motion, force, *bearings = figure.subplots(4, 1, sharex=True)
     if shown.has("dte"):
@@ -219,25 +255,28 @@ def time_series(samples: Samples, parameters: Parameters) -> Figure:
 
 
 def _period_samples(samples: Samples) -> int:
-    mesh = mesh_rate(samples)
+    mesh = observed_mesh_frequency(samples)
     if mesh is None:
-        return UNKNOWN_PERIODS
-    return max(FEWEST_SAMPLES, round(MESH_PERIODS / (abs(mesh) * samples.interval)))
+        return SERIES_SAMPLES
+    return max(SERIES_MIN_SAMPLES, round(SERIES_PERIODS / (abs(mesh) * samples.interval)))
 
 
 def _periods_title(shown: Samples) -> str:
-    mesh = mesh_rate(shown)
+    mesh = observed_mesh_frequency(shown)
     if mesh is None:
         return f"Last {len(shown)} samples of the window"
     periods = abs(mesh) * len(shown) * shown.interval
     return f"Last {periods:.0f} mesh periods of the window (mesh frequency {KILO * abs(mesh):.3f} kHz)"
 
 
-@styled
-def spectrum(samples: Samples) -> Figure:
-    """Amplitude spectrum of the DTE, with orders of the mesh frequency on top."""
+@_styled
+def spectrum_figure(samples: Samples) -> Figure:
+    """Amplitude spectrum of the DTE, with orders of the mesh frequency on top.
+
+    Needs the channel dte; raises ValueError for fewer than spectra.MIN_SAMPLES samples.
+    """
     found = amplitude_spectrum(samples["dte"], samples.interval)
-    mesh = mesh_rate(samples)
+    mesh = observed_mesh_frequency(samples)
     highest = float(found.frequency[-1])
     limit = min(highest, ORDERS * abs(mesh)) if mesh else highest
     figure = Figure(figsize=(10.0, 4.6), layout="constrained")
@@ -276,17 +315,17 @@ def _mesh_orders(axis: Axes, mesh: float, limit: float) -> None:
     above.tick_params(colors=palette.ORANGE)
 
 
-@styled
-def phase_portrait(samples: Samples) -> Figure:
-    """DTE against its rate, with the points where the mesh phase wraps."""
+@_styled
+def phase_portrait_figure(samples: Samples) -> Figure:
+    """DTE rate over DTE, with the points where the mesh phase wraps. Needs the channels dte and dte_rate."""
     figure = Figure(figsize=(7.4, 5.4), layout="constrained")
     axis = figure.subplots()
-    shown = samples.last(DRAWN_SAMPLES)
+    shown = samples.last(ORBIT_SAMPLES)
     axis.plot(
         MICRO * shown["dte"], shown["dte_rate"], color=palette.SKY, linewidth=0.35, alpha=0.6, label="motion"
     )
     if samples.has("mesh_phase"):
-        points = section(samples)
+        points = poincare_section(samples)
         axis.plot(
             MICRO * points[:, 0],
             points[:, 1],
@@ -310,7 +349,7 @@ def phase_portrait(samples: Samples) -> Figure:
 
 
 def _mark_flanks(axis: Axes, samples: Samples) -> None:
-    """Mean places of the flanks that the motion comes near."""
+    """Mark the mean positions of the flanks that the motion comes near."""
     half = float(samples["half_backlash"].mean())
     lowest, highest = float(samples["dte"].min()), float(samples["dte"].max())
     for place, name in ((half, "drive flank"), (-half, "back flank")):
@@ -329,28 +368,31 @@ def _mark_flanks(axis: Axes, samples: Samples) -> None:
             )
 
 
-@styled
-def orbits(samples: Samples, parameters: Parameters) -> Figure:
-    """Path of each journal's centre inside its clearance circle, and the oil clearance where a film acts."""
+@_styled
+def orbits_figure(samples: Samples, parameters: Parameters) -> Figure:
+    """Path of each journal's centre in its clearance circle, and in the oil clearance where a film acts.
+
+    Needs the displacements of both gears.
+    """
     figure = Figure(figsize=(10.0, 10.4), layout="constrained")
     axes = figure.subplots(2, 2)
-    shown = samples.last(DRAWN_SAMPLES)
+    shown = samples.last(ORBIT_SAMPLES)
     sizes = {"driving": parameters.bearings.driving, "driven": parameters.bearings.driven}
     for (bearing, close), gear in zip(axes.T, GEARS, strict=True):
         path = MICRO * np.column_stack([shown[f"{gear}_x"], shown[f"{gear}_y"]])
-        rings = [Ring(MICRO * sizes[gear].clearance, palette.ORANGE, "bearing clearance")]
+        circles = [ClearanceCircle(MICRO * sizes[gear].clearance, palette.ORANGE, "bearing clearance")]
         if parameters.model == "improved":
-            rings.append(Ring(MICRO * sizes[gear].oil_clearance, palette.GREEN, "oil clearance"))
-        half = 1.08 * max(*(ring.radius for ring in rings), float(np.abs(path).max()))
-        _orbit(bearing, path, rings, (0.0, 0.0), half)
-        _orbit(close, path, rings, *_surroundings(path))
+            circles.append(ClearanceCircle(MICRO * sizes[gear].oil_clearance, palette.GREEN, "oil clearance"))
+        half = 1.08 * max(*(circle.radius for circle in circles), float(np.abs(path).max()))
+        _draw_orbit(bearing, path, circles, (0.0, 0.0), half)
+        _draw_orbit(close, path, circles, *_close_view(path))
         bearing.set_title(f"Journal of the {gear} gear")
-        close.set_title("The same, close by")
+        close.set_title("The same, enlarged")
         bearing.legend(loc="upper left", bbox_to_anchor=(0.0, -0.1), ncols=2)
     return figure
 
 
-class Ring(NamedTuple):
+class ClearanceCircle(NamedTuple):
     """A circle about the bearing's centre, radius in um."""
 
     radius: float
@@ -363,16 +405,16 @@ class Ring(NamedTuple):
         return Circle((0.0, 0.0), self.radius, fill=False, edgecolor=self.colour, linewidth=1.1, label=label)
 
 
-def _orbit(
+def _draw_orbit(
     axis: Axes,
     path: NDArray[np.float64],
-    rings: Sequence[Ring],
+    circles: Sequence[ClearanceCircle],
     centre: tuple[float, float],
     half: float,
 ) -> None:
-    """A square view of the path, ``half`` its half side in um."""
-    for ring in rings:
-        axis.add_patch(ring.patch())
+    """Draw the path (n, 2) in a square view of half side ``half`` about ``centre``, all in um."""
+    for circle in circles:
+        axis.add_patch(circle.patch())
     axis.plot(path[:, 0], path[:, 1], color=palette.BLUE, linewidth=0.6, alpha=0.8, label="journal centre")
     axis.set(
         xlim=(centre[0] - half, centre[0] + half),
@@ -383,23 +425,28 @@ def _orbit(
     )
 
 
-def _surroundings(path: NDArray[np.float64]) -> tuple[tuple[float, float], float]:
-    """Centre and half side of a square that holds the path with some room, um."""
+def _close_view(path: NDArray[np.float64]) -> tuple[tuple[float, float], float]:
+    """Centre and half side of a square around the path with some margin, um."""
     low, high = path.min(axis=0), path.max(axis=0)
     x, y = (float(value) for value in (low + high) / 2.0)
-    return (x, y), max(CLOSEST_VIEW, 0.65 * float((high - low).max()))
+    return (x, y), max(MIN_HALF_SIDE, 0.65 * float((high - low).max()))
 
 
-@styled
-def bearing_force(samples: Samples) -> Figure:
-    """Contact force of each bearing against penetration: a loop's area is the energy it takes."""
+@_styled
+def bearing_force_figure(samples: Samples) -> Figure:
+    """Contact force over penetration of each bearing: the area of a loop is the energy dissipated.
+
+    Needs penetration and contact force of both gears.
+    """
     figure = Figure(figsize=(10.0, 4.6), layout="constrained")
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
     shown = samples.last(LOOP_SAMPLES)
     for axis, gear in zip(axes, GEARS, strict=True):
         penetration = shown[f"{gear}_penetration"]
         touching = np.where(penetration >= 0.0, MICRO * penetration, np.nan)
-        axis.plot(touching, KILO * shown.contact_force(gear), color=COLOURS[gear], linewidth=0.6, alpha=0.8)
+        axis.plot(
+            touching, KILO * shown.contact_force(gear), color=GEAR_COLOURS[gear], linewidth=0.6, alpha=0.8
+        )
         if np.isnan(touching).all():
             axis.text(0.5, 0.5, "no contact", transform=axis.transAxes, ha="center", color="#666666")
         axis.set_xlabel("penetration (µm)")
@@ -409,7 +456,7 @@ def bearing_force(samples: Samples) -> Figure:
 
 
 class Overlay(NamedTuple):
-    """The same channel of A and B, some samples around the one at ``marked`` s."""
+    """One channel of A and B around the time ``marked`` in s."""
 
     title: str
     channel: str
@@ -418,14 +465,17 @@ class Overlay(NamedTuple):
     marked: float
 
 
-@styled
-def divergence(
-    envelope: Envelope, differences: Mapping[str, Difference], interval: float, overlays: Sequence[Overlay]
+@_styled
+def divergence_figure(
+    envelope: Envelope,
+    differences: Mapping[str, ChannelDifference],
+    interval: float,
+    overlays: Sequence[Overlay],
 ) -> Figure:
-    """Where two recordings part: |A - B| of some channels over the time compared, and A and B close by.
+    """How two recordings differ: |A - B| of some channels over time, and A and B in ``overlays``.
 
-    ``envelope`` holds |A - B|, ``differences`` the channels to show, each of which has one; ``interval`` is
-    the sample interval in s.
+    ``envelope`` holds |A - B|, ``differences`` the channels to show, of which at least one value differs;
+    ``interval`` is the sample interval in s.
     """
     heights = (1.7 * len(differences) + 0.6, 4.4)
     figure = Figure(figsize=(10.0, sum(heights)), layout="constrained")
@@ -433,23 +483,25 @@ def divergence(
     above, below = parts[:, 0]
     axes = above.subplots(len(differences), 1, sharex=True, squeeze=False)[:, 0]
     for axis, (name, found) in zip(axes, differences.items(), strict=True):
-        _growth(axis, envelope, name, found, interval)
-    axes[0].set_title("|A - B|, the greatest in every stretch of time")
+        _draw_growth(axis, envelope, name, found, interval)
+    axes[0].set_title("|A - B|, maximum of each time interval")
     axes[-1].set_xlabel("simulated time (s)")
     above.align_ylabels(axes)
     columns = below.subplots(2, len(overlays), sharex="col", squeeze=False, height_ratios=(3, 2)).T
     for (values, apart), overlay in zip(columns, overlays, strict=True):
-        _overlaid(values, apart, overlay)
+        _draw_overlay(values, apart, overlay)
     columns[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=2, borderaxespad=0.0)
     below.align_ylabels()
     return figure
 
 
-def _growth(axis: Axes, envelope: Envelope, name: str, found: Difference, interval: float) -> None:
+def _draw_growth(
+    axis: Axes, envelope: Envelope, name: str, found: ChannelDifference, interval: float
+) -> None:
     """|A - B| of one channel on a logarithmic axis, which leaves out where it is 0."""
-    greatest = envelope.bounds(name)[1]
+    greatest, times = envelope.bounds(name)[1], envelope.times()
     axis.semilogy(
-        envelope.time,
+        times,
         np.where(greatest > 0.0, greatest, np.nan),
         color=palette.BLUE,
         marker=".",
@@ -457,41 +509,43 @@ def _growth(axis: Axes, envelope: Envelope, name: str, found: Difference, interv
         linewidth=0.8,
         label="|A - B|",
     )
-    if found.scale > 0.0:
+    if found.rms_a > 0.0:
         axis.axhline(
-            found.scale,
+            found.rms_a,
             color=palette.GREY,
             linewidth=0.9,
             linestyle="--",
-            label=f"RMS of A\n{found.scale:.3g}",
+            label=f"RMS of A\n{found.rms_a:.3g}",
         )
-    if found.first is not None:
-        first = found.first * interval
+    if found.first_difference is not None:
+        first = found.first_difference * interval
         axis.axvline(
             first, color=palette.ORANGE, linewidth=1.1, linestyle=":", label=f"first differs\n{first:.9g} s"
         )
-    axis.set_xlim(*_widened(float(envelope.time[0]), float(envelope.time[-1])))
+    axis.set_xlim(*_with_margin(float(times[0]), float(times[-1])))
     axis.set_ylabel(_with_unit(name))
     axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.05), handlelength=1.6)
 
 
-def _widened(first: float, last: float) -> tuple[float, float]:
-    room = 0.01 * (last - first) or 1e-6
-    return first - room, last + room
+def _with_margin(low: float, high: float) -> tuple[float, float]:
+    margin = 0.01 * (high - low) or 1e-6
+    return low - margin, high + margin
 
 
 def _with_unit(name: str) -> str:
-    unit = UNITS[name]
+    unit = QUANTITY_UNITS[name]
     return f"{name}\n({unit})" if unit else name
 
 
-def _overlaid(values: Axes, apart: Axes, overlay: Overlay) -> None:
-    """A and B over each other, and what is between them below."""
+def _draw_overlay(values: Axes, apart: Axes, overlay: Overlay) -> None:
+    """A and B in one diagram, and A - B below."""
     milliseconds = 1e3 * (overlay.a.time - overlay.marked)
     a, b = overlay.a[overlay.channel], overlay.b
-    scale, unit = (MICRO, "µm") if UNITS[overlay.channel] == "m" else (1.0, UNITS[overlay.channel])
+    scale, unit = (
+        (MICRO, "µm") if QUANTITY_UNITS[overlay.channel] == "m" else (1.0, QUANTITY_UNITS[overlay.channel])
+    )
     name = "DTE" if overlay.channel == "dte" else overlay.channel
-    # B is seen inside A where they are the same.
+    # The thin curve B stays visible on top of the wide curve A where they are equal.
     values.plot(milliseconds, scale * a, color=palette.SKY, linewidth=4.0, label="A")
     values.plot(milliseconds, scale * b, ".-", color=palette.ORANGE, linewidth=0.9, markersize=3.0, label="B")
     values.set_ylabel(f"{name} ({unit})" if unit else name)

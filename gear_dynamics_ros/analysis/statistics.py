@@ -1,4 +1,4 @@
-"""Totals over a stream of samples of any length, in bounded memory."""
+"""Totals and envelopes of a run of any length in bounded memory, block of samples by block of samples."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.analysis.sections import FLANKS, MeshingShares, flank_counts
-from gear_dynamics_ros.samples import GEARS, Samples
+from gear_dynamics_ros.channels import GEARS
+from gear_dynamics_ros.chunk import Samples
 
 
-class Totals(NamedTuple):
+class QuantityTotals(NamedTuple):
     """Extremes and means of one quantity, in its own unit."""
 
     minimum: float
@@ -21,26 +22,26 @@ class Totals(NamedTuple):
 
 
 class Quantities(NamedTuple):
-    """What statistics and overview share: recorded channels and the magnitude of each bearing force."""
+    """Named columns: the recorded channels and the magnitude of each bearing force, in SI units."""
 
     names: tuple[str, ...]
-    values: NDArray[np.float64]  # shape (n, quantities)
+    values: NDArray[np.float64]  # shape (n, len(names))
 
 
 def bearing_force_name(gear: str) -> str:
-    """Name of the magnitude of contact and film force on ``gear``."""
+    """Name of the quantity |contact force + film force| on ``gear``, in N."""
     return f"{gear}_bearing_force"
 
 
-def quantities(samples: Samples) -> Quantities:
-    """Recorded channels and what is made of them."""
+def derived_quantities(samples: Samples) -> Quantities:
+    """The channels of ``samples``, and the bearing force of each gear whose components they have."""
     gears = [gear for gear in GEARS if samples.has_bearing_force(gear)]
     columns = [samples.values, *(samples.bearing_force(gear)[:, None] for gear in gears)]
     return Quantities((*samples.names, *map(bearing_force_name, gears)), np.hstack(columns))
 
 
 class Statistics:
-    """Collects totals of every quantity and the meshing shares; feed it all stretches."""
+    """Collects the totals of every quantity and the meshing shares over consecutive blocks of samples."""
 
     def __init__(self) -> None:
         self.samples = 0
@@ -50,7 +51,7 @@ class Statistics:
         self._minimum, self._maximum, self._sum, self._squares = (np.zeros(0) for _ in range(4))
 
     def add(self, samples: Samples, columns: Quantities) -> None:
-        """One more stretch, with its quantities."""
+        """Take in the next block, not empty, and its ``derived_quantities``; the same names in every call."""
         if not self._names:
             self._begin(columns)
         self.samples += len(samples)
@@ -70,11 +71,10 @@ class Statistics:
         self._minimum, self._maximum = np.full(count, np.inf), np.full(count, -np.inf)
         self._sum, self._squares = np.zeros(count), np.zeros(count)
 
-    @property
-    def totals(self) -> dict[str, Totals]:
-        """Totals by quantity; empty before the first stretch."""
+    def totals(self) -> dict[str, QuantityTotals]:
+        """Totals by quantity; empty before the first block."""
         return {
-            name: Totals(
+            name: QuantityTotals(
                 float(self._minimum[i]),
                 float(self._maximum[i]),
                 float(self._sum[i] / self.samples),
@@ -83,21 +83,22 @@ class Statistics:
             for i, name in enumerate(self._names)
         }
 
-    @property
-    def shares(self) -> MeshingShares | None:
-        """Meshing shares, None if the state wasn't recorded."""
+    def meshing_shares(self) -> MeshingShares | None:
+        """Meshing shares, None if the meshing state wasn't recorded."""
         if "meshing_state" not in self._names:
             return None
         return MeshingShares.of(self._flanks)
 
-    @property
     def mean_load_torque(self) -> float | None:
-        """Mean magnitude of the load torque in N m, None if it wasn't recorded."""
+        """Mean of |load torque| in N m, None if it wasn't recorded."""
         return self._load / self.samples if "load_torque" in self._names else None
 
 
 class Envelope:
-    """Lowest and highest of every quantity in at most ``capacity`` equal stretches of a run of any length."""
+    """Minimum and maximum of every quantity in each of at most ``capacity`` intervals of equal length.
+
+    The intervals double in length whenever a run gets too long for them.
+    """
 
     def __init__(self, capacity: int = 2048) -> None:
         self._capacity = capacity
@@ -105,7 +106,7 @@ class Envelope:
         self._first: int | None = None
 
     def add(self, samples: Samples, columns: Quantities) -> None:
-        """One more stretch, later than those before."""
+        """Take in a block of samples, later than those before, and its ``columns``."""
         if self._first is None:
             self._first = samples.first
             self._interval = samples.interval
@@ -122,26 +123,24 @@ class Envelope:
         self._high[touched] = np.maximum(self._high[touched], np.maximum.reduceat(columns.values, starts))
 
     def _halve(self) -> None:
-        """Join neighbours, so that half the capacity is free again."""
+        """Join neighbouring intervals, so that half the capacity is free again."""
         for bounds, join, empty in ((self._low, np.minimum, np.inf), (self._high, np.maximum, -np.inf)):
             half = join(bounds[0::2], bounds[1::2])
             bounds[: len(half)] = half
             bounds[len(half) :] = empty
         self._width *= 2
 
-    @property
-    def time(self) -> NDArray[np.float64]:
-        """Simulated time at the middle of each stretch that holds samples, s, shape (n,)."""
-        middle = np.flatnonzero(self._filled) + 0.5 - 0.5 / self._width
+    def times(self) -> NDArray[np.float64]:
+        """Simulated time at the middle of each interval that has samples, s, shape (n,)."""
+        middle = np.flatnonzero(self._filled()) + 0.5 - 0.5 / self._width
         first = self._first or 0
         return np.asarray((first + middle * self._width) * self._interval, dtype=np.float64)
 
     def bounds(self, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Lowest and highest of one quantity, both of shape (n,)."""
-        column = self.names.index(name)
-        return self._low[self._filled, column], self._high[self._filled, column]
+        """Minimum and maximum of one quantity in those intervals, both of shape (n,)."""
+        column, filled = self.names.index(name), self._filled()
+        return self._low[filled, column], self._high[filled, column]
 
-    @property
     def _filled(self) -> NDArray[np.bool_]:
         filled: NDArray[np.bool_] = self._low[:, 0] <= self._high[:, 0]
         return filled

@@ -5,13 +5,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from gear_dynamics_ros.cli.common import FAILURE
+from gear_dynamics_ros.system.command import FAILURE
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def gearbox_main(argv: Sequence[str] | None = None) -> int:
     """Run the node until it is stopped; returns the exit code."""
     try:
-        from gear_dynamics_ros.node_process import main as run
+        from gear_dynamics_ros.ros.node_process import main as run
     except ModuleNotFoundError as error:
         if error.name != "rclpy":
             raise
@@ -22,4 +22,4 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(gearbox_main())

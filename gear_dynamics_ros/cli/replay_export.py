@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.cli.common import Progress
-from gear_dynamics_ros.recording import tables
-from gear_dynamics_ros.recording.export import export
-from gear_dynamics_ros.recording.table_files import FORMATS
+from gear_dynamics_ros.cli.progress import Progress
+from gear_dynamics_ros.recording.export.formats import FORMATS
+from gear_dynamics_ros.recording.export import tables
+from gear_dynamics_ros.recording.export.write import export
 
 
 def add_export(verbs: Any) -> None:
@@ -19,29 +19,28 @@ def add_export(verbs: Any) -> None:
     parser = verbs.add_parser(
         "export",
         help="write a table of a recording as Parquet, CSV or NumPy",
-        description="Write a table of a recording to a new file, every number to the bit. The waveform has "
-        "a row for each sample: its index and simulated time, then the channels.",
+        description="Write a table of a recording to a new file; every number keeps its bits. The waveform "
+        "has a row for each sample: its index and simulated time, then the channels.",
     )
     parser.add_argument("bag", metavar="BAG", help="recording: a folder or a single .mcap file")
-    parser.add_argument("--output", type=Path, required=True, metavar="FILE", help="file to make")
+    parser.add_argument("--output", type=Path, required=True, metavar="FILE", help="new file")
     parser.add_argument("--format", choices=tuple(FORMATS), help="default: by the suffix of FILE")
     parser.add_argument("--table", choices=tables.NAMES, default=tables.WAVEFORM, help="default: waveform")
     parser.add_argument(
         "--channels", metavar="NAME,...", help="columns of the waveform beside sample and time (default: all)"
     )
     parser.add_argument(
-        "--from", dest="start", type=float, metavar="S", help="from this simulated time on, s"
+        "--from", dest="start", type=float, metavar="S", help="start at this simulated time, s"
     )
-    parser.add_argument("--to", dest="end", type=float, metavar="S", help="to before this simulated time, s")
-    parser.set_defaults(command=export_bag)
+    parser.add_argument("--to", dest="end", type=float, metavar="S", help="end before this simulated time, s")
+    parser.set_defaults(command=_export)
 
 
-def export_bag(arguments: argparse.Namespace) -> int:
-    """Export and say what was written."""
+def _export(arguments: argparse.Namespace) -> int:
     bag = recording.open(arguments.bag)
-    first, beyond = bag.clip(arguments.start, arguments.end)
+    first, end_sample = bag.clip(arguments.start, arguments.end)
     channels = None if arguments.channels is None else arguments.channels.split(",")
-    with Progress("exported", beyond - first) as progress:
+    with Progress("exported", end_sample - first) as progress:
         written = export(
             bag,
             arguments.output,

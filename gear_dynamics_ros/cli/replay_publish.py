@@ -1,4 +1,4 @@
-"""`replay publish`: play a recording's commands to a running gearbox."""
+"""``replay publish BAG``: play the commands of a recording to a running gearbox."""
 
 from __future__ import annotations
 
@@ -9,46 +9,48 @@ from dataclasses import replace
 from typing import Any
 
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.cli.common import SIGNALLED, Progress
+from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.cli.ros import add_gearbox, full_name, needing_ros
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.harness import recorded
 from gear_dynamics_ros.harness.player import Player
+from gear_dynamics_ros.harness.profile import step_profile
+from gear_dynamics_ros.replay import publish
+from gear_dynamics_ros.system.command import SIGNALLED
 
 DESCRIPTION = """\
-Plays the commands of a recording to a running gearbox, as a what-if: the same commands against other
-parameters. The gearbox is first put back to its start state, and the recording's first sample is time 0.
-Without --lockstep the gearbox runs at its own pace and commands come a chunk or two late; with --lockstep it
-is paused and stepped, and every command acts at exactly its recorded sample."""
+Plays the commands of a recording to a running gearbox, for example to one with other parameters. The gearbox
+is first reset to its start state, and the recording's first sample is time 0. Without --lockstep the gearbox
+runs at its own pace, and commands act a chunk or two late; with --lockstep it is paused and stepped, and
+every command acts at exactly its recorded sample."""
 EPILOG = """\
 Exit code: 0 if the recording was played to its end, 1 if not, 2 on bad usage, 130 on Ctrl-C."""
 
 
 def add_publish(verbs: Any) -> None:
-    """Add the verb to those of ``replay``."""
+    """Add the verb to argparse's subparsers."""
     parser: argparse.ArgumentParser = verbs.add_parser(
         "publish",
         help="play a recording's commands to a running gearbox",
         description=DESCRIPTION,
         epilog=EPILOG,
     )
-    parser.set_defaults(command=publish_bag)
+    parser.set_defaults(command=_publish)
     parser.add_argument("bag", metavar="BAG", help="recording: a folder or a single .mcap file")
     add_gearbox(parser)
     parser.add_argument(
         "--lockstep",
         dest="play",
         action="store_const",
-        const=_step,
-        default=_follow,
-        help="to the sample: pause the gearbox, step it from command to command, play recorded resets and "
-        "parameter changes too, and let it go on in the end if it ran before",
+        const=_play_in_lockstep,
+        default=_play_at_own_pace,
+        help="exact to the sample: pause the gearbox, step it from command to command, play recorded resets "
+        "and parameter changes too, and let it run on at the end if it ran before",
     )
     parser.add_argument(
         "--no-reset",
         dest="reset",
         action="store_false",
-        help="go on from the state in which the gearbox is, not from its start state",
+        help="start from the present state of the gearbox, not from its start state",
     )
     parser.add_argument(
         "--ros-args",
@@ -59,24 +61,26 @@ def add_publish(verbs: Any) -> None:
     )
 
 
-def publish_bag(arguments: argparse.Namespace) -> int:
-    """Play the recording; returns the exit code."""
+def _publish(arguments: argparse.Namespace) -> int:
     bag = recording.open(arguments.bag)
-    if arguments.reset and not recorded.starts_from_start_state(bag):
+    if arguments.reset and not publish.starts_at_start_state(bag):
         print(
-            f"replay: {bag.path} begins in the midst of a run, the gearbox at its start state: expect their "
-            "waveforms to differ",
+            f"replay: {bag.path} begins in the middle of a run, the gearbox at its start state: their "
+            "waveforms will differ",
             file=sys.stderr,
         )
     return int(arguments.play(bag, arguments))
 
 
-def _follow(bag: recording.Recording, arguments: argparse.Namespace) -> int:
+def _play_at_own_pace(bag: recording.Recording, arguments: argparse.Namespace) -> int:
     with needing_ros():
-        from gear_dynamics_ros.harness_client import play
+        from gear_dynamics_ros.ros.profile_client import play
     node = full_name(arguments.node)
-    profile = replace(recorded.profile(bag), reset=arguments.reset)
-    _tell_left_out(recorded.left_out_of_profile(bag), "; with --lockstep resets and changes are")
+    script = publish.commands_of(bag)
+    commands = [(step.time_ns / 1e9, step.commands) for step in script.steps]
+    profile = step_profile(f"commands of {bag.path}", script.duration_ns / 1e9, commands)
+    profile = replace(profile, reset=arguments.reset)
+    _print_skipped(publish.skipped_by_commands(bag), "; with --lockstep resets and changes are")
     print(f"playing {bag.path} to {node}: {profile.duration:g} s of simulated time", flush=True)
     reached = 0.0
     with Progress("published", bag.duration_ns) as progress:
@@ -88,36 +92,36 @@ def _follow(bag: recording.Recording, arguments: argparse.Namespace) -> int:
             reached = player.time
             progress(player.time_ns)
 
-        outcome = play(profile, node, arguments.wait, arguments.timeout, watch, _ros(arguments))
+        outcome = play(profile, node, arguments.wait, arguments.timeout, watch, _ros_arguments(arguments))
     print(
-        f"{outcome.published} commands published over {reached:.9g} s of simulated time, values that stay "
-        "ten times a second; each acts at the chunk edge after it came, a chunk or two late",
+        f"{outcome.published} commands published over {reached:.9g} s of simulated time, unchanged "
+        "values ten times a second; each acts at the next chunk edge, a chunk or two late",
         flush=True,
     )
-    return _verdict(outcome.failure, outcome.signal)
+    return _exit_code(outcome.failure, outcome.signal)
 
 
-def _step(bag: recording.Recording, arguments: argparse.Namespace) -> int:
+def _play_in_lockstep(bag: recording.Recording, arguments: argparse.Namespace) -> int:
     with needing_ros():
-        from gear_dynamics_ros.lockstep_client import play
+        from gear_dynamics_ros.ros.lockstep_client import play
     node = full_name(arguments.node)
-    script = recorded.script(bag)
+    script = publish.script_of(bag)
     if arguments.reset:
-        script = recorded.from_start_state(script)
-    _tell_left_out(recorded.left_out_of_script(bag), "")
+        script = publish.with_initial_reset(script)
+    _print_skipped(publish.skipped_by_script(bag), "")
     print(f"playing {bag.path} to {node} in lockstep: {script.duration_ns / 1e9:g} s", flush=True)
     with Progress("published", script.duration_ns) as progress:
-        outcome = play(script, node, arguments.wait, arguments.timeout, progress, _ros(arguments))
+        outcome = play(script, node, arguments.wait, arguments.timeout, progress, _ros_arguments(arguments))
     if outcome.origin >= 0:
         print(
             f"{outcome.published} commands published, {outcome.time_ns / 1e9:.9g} s simulated; time 0 of the "
             f"recording is sample {outcome.origin} of the gearbox"
         )
         print(f"{node} {'goes on running' if outcome.left_running else 'stays paused'}, as it was found")
-    return _verdict(outcome.failure, outcome.signal)
+    return _exit_code(outcome.failure, outcome.signal)
 
 
-def _verdict(failure: str, signal: int) -> int:
+def _exit_code(failure: str, signal: int) -> int:
     if signal:
         print(f"replay: {failure}", file=sys.stderr)
         return SIGNALLED + signal
@@ -126,11 +130,11 @@ def _verdict(failure: str, signal: int) -> int:
     return 0
 
 
-def _tell_left_out(kinds: Counter[str], remedy: str) -> None:
+def _print_skipped(kinds: Counter[str], remedy: str) -> None:
     told = ", ".join(f"{number} {kind}" for kind, number in kinds.items() if number)
     if told:
         print(f"replay: not played: {told}{remedy}", file=sys.stderr)
 
 
-def _ros(arguments: argparse.Namespace) -> list[str]:
+def _ros_arguments(arguments: argparse.Namespace) -> list[str]:
     return ["--ros-args", *arguments.ros_args] if arguments.ros_args else []

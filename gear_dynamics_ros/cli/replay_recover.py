@@ -1,93 +1,28 @@
-"""``replay recover``: a whole recording of a broken one."""
+"""``replay recover BAG``: make a whole recording of a damaged one."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
-from gear_dynamics_ros.cli.common import Progress
-from gear_dynamics_ros.recording.recover import PartReport, Report, Span, default_target, recover
-
-
-def add_recover(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the verb."""
-    verb = verbs.add_parser("recover", help="make a whole recording of what a broken one still holds")
-    verb.add_argument("bag", metavar="BAG", help="broken recording, only read: a folder or an .mcap file")
-    verb.add_argument("--output", metavar="DIR", help="new folder (default: BAG with _recovered)")
-    verb.set_defaults(command=recover_bag)
+from gear_dynamics_ros.cli.progress import Progress
+from gear_dynamics_ros.recording.recover import default_target, recover
+from gear_dynamics_ros.reporting.recovery_text import recovery_lines
 
 
-def recover_bag(arguments: argparse.Namespace) -> int:
-    """Recover the recording and tell what was kept and lost."""
+def add_recover(verbs: Any) -> None:
+    """Add the verb to argparse's subparsers."""
+    parser = verbs.add_parser("recover", help="make a whole recording of what is readable in a damaged one")
+    parser.add_argument("bag", metavar="BAG", help="damaged recording, only read: a folder or an .mcap file")
+    parser.add_argument("--output", metavar="DIR", help="new folder (default: BAG with _recovered)")
+    parser.set_defaults(command=_recover)
+
+
+def _recover(arguments: argparse.Namespace) -> int:
     source = Path(arguments.bag)
     target = default_target(source) if arguments.output is None else Path(arguments.output)
     with Progress("recovered", 100) as progress:
         report = recover(source, target, lambda share: progress(int(100 * share)))
-    print("\n".join(_lines(report)))
+    print("\n".join(recovery_lines(report)))
     return 0
-
-
-def _lines(report: Report) -> Iterator[str]:
-    yield f"{report.source}: recovered to {report.target}"
-    for part in report.parts:
-        yield f"  {part.name}  {part.size} bytes  {_state(part)}"
-        yield f"    kept {_kept(part, report)}"
-    for name, reason in report.left_out.items():
-        yield f"  {name}  {reason}: left out"
-    for gap in report.gaps:
-        yield f"missing in between: {gap.end - gap.first} samples, {_times(gap, report)}"
-    if not report.described:
-        yield "metadata.yaml was missing: made anew"
-    yield f"read {report.size} bytes, kept {_kept(report, report)}"
-    yield _verdict(report)
-
-
-def _state(part: PartReport) -> str:
-    spoilt = _spoilt([part])
-    left_out = f"; left out as spoilt: {', '.join(spoilt)}" if spoilt else ""
-    if part.whole:
-        return "whole" if part.finished else "whole but for the index at its end"
-    if part.ended:
-        return f"complete{left_out}"
-    behind = f"the {part.tail} bytes behind it hold no whole record" if part.tail else "nothing is behind it"
-    return f"breaks off at byte {part.break_at}: {behind}{left_out}"
-
-
-def _kept(of: PartReport | Report, report: Report) -> str:
-    if of.span is None:
-        return f"{of.messages} messages, no samples"
-    return f"{of.messages} messages, {of.samples} samples, {_times(of.span, report)}"
-
-
-def _spoilt(parts: Sequence[PartReport]) -> list[str]:
-    counts = {
-        "chunk": sum(part.spoilt_chunks for part in parts),
-        "attachment": sum(part.spoilt_attachments for part in parts),
-        "metadata record": sum(part.spoilt_metadata for part in parts),
-    }
-    return [f"{count} {what}{'s' if count > 1 else ''}" for what, count in counts.items() if count]
-
-
-def _times(span: Span, report: Report) -> str:
-    """First and last sample; where there are samples, their interval is known."""
-    first, last = (sample * (report.sample_interval_ns or 0) / 1e9 for sample in (span.first, span.end - 1))
-    return f"{span.first} to {span.end - 1} ({first:.6f} s to {last:.6f} s)"
-
-
-def _verdict(report: Report) -> str:
-    if report.whole:
-        return "nothing was lost"
-    tail = sum(part.tail for part in report.parts)
-    missing = sum(gap.end - gap.first for gap in report.gaps)
-    lost = [
-        *([f"{tail} bytes without a whole record"] if tail else []),
-        *_spoilt(report.parts),
-        *([f"{missing} samples in between"] if missing else []),
-        *([f"{len(report.left_out)} files"] if report.left_out else []),
-    ]
-    told = f"lost: {', '.join(lost)}" if lost else "lost: what had not been flushed"
-    if report.messages:
-        return told
-    spoilt = any(part.spoilt_chunks for part in report.parts)
-    return f"{'no message is whole' if spoilt else 'nothing had been flushed yet'}; {told}"

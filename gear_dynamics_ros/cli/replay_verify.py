@@ -1,4 +1,4 @@
-"""``replay verify BAG``: prove that the model gives the recording again."""
+"""``replay verify BAG``: prove that the model reproduces a recording bit for bit."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import sys
 from typing import Any
 
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.cli.common import FAILURE, Progress
+from gear_dynamics_ros.cli.progress import Progress
+from gear_dynamics_ros.system.command import FAILURE
 
 
 def add_verify(verbs: Any) -> None:
@@ -15,27 +16,33 @@ def add_verify(verbs: Any) -> None:
     parser = verbs.add_parser(
         "verify",
         help="re-simulate a recording and compare every sample bit for bit",
-        description="Run the model again from the recorded start, with all that was done to it, and compare "
-        "every sample, every message that a chunk makes and every stored state bit for bit. Exit code 0: all "
-        "the same; 1: something differs, or can't be read.",
+        description="Run the model again from the recorded start, with the recorded commands and events, and "
+        "compare every sample, every message of a chunk and every stored state bit for bit. Exit code 0: no "
+        "difference; 1: something differs, or can't be read.",
     )
     parser.add_argument("bag", metavar="BAG", help="recording: a folder or a single .mcap file")
     parser.add_argument(
-        "--from", dest="start", type=float, metavar="S", help="begin at the last state stored before S, s"
+        "--from",
+        dest="start",
+        type=float,
+        metavar="S",
+        help="start at the last state stored before this simulated time, s",
     )
-    parser.set_defaults(command=verify_bag)
+    parser.set_defaults(command=_verify)
 
 
-def verify_bag(arguments: argparse.Namespace) -> int:
-    """Verify and say what came out; exit code 1 on a difference."""
-    from gear_dynamics_ros import replay  # loads the kernel, which other verbs need not wait for
+def _verify(arguments: argparse.Namespace) -> int:
+    from gear_dynamics_ros.replay.verify import (  # loads the kernel, which other verbs need not wait for
+        origins,
+        verify_recording,
+    )
 
     bag = recording.open(arguments.bag)
     with Progress("verified", bag.end_sample - bag.first_sample) as progress:
-        result = replay.verify(bag, arguments.start, progress)
+        result = verify_recording(bag, arguments.start, progress)
     if result.difference is not None:
         print(f"replay: error: {bag.path}: {result.difference}", file=sys.stderr)
-        for line in replay.origins(bag):
+        for line in origins(bag):
             print(f"replay: {line}", file=sys.stderr)
         return FAILURE
     print(

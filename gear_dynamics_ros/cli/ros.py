@@ -1,4 +1,4 @@
-"""What the commands share that talk to a running gearbox; no rclpy is needed to ask them for help."""
+"""What the commands for a running gearbox share; their --help works without rclpy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PACKAGES = ("rclpy", "rcl_interfaces", "sensor_msgs", "std_msgs", "std_srvs")
 
 
 def add_gearbox(parser: argparse.ArgumentParser) -> None:
-    """Options that say which gearbox, and how long to wait for it."""
+    """Add the options that name the gearbox and limit the waiting for it."""
     parser.add_argument("--node", default="/gearbox", help="full name of the gearbox (default: %(default)s)")
     parser.add_argument(
         "--wait",
@@ -31,13 +31,13 @@ def add_gearbox(parser: argparse.ArgumentParser) -> None:
 
 
 def full_name(node: str) -> str:
-    """``node`` with the slash that it may be given without."""
+    """``node`` with a slash in front, which the user may leave out."""
     return node if node.startswith("/") else f"/{node}"
 
 
 @contextmanager
 def needing_ros() -> Iterator[None]:
-    """Around the import of what needs rclpy: raises GearboxError with the remedy where ROS is missing."""
+    """Around imports that need rclpy. Raises GearboxError with the remedy if ROS is not installed."""
     try:
         yield
     except ModuleNotFoundError as error:

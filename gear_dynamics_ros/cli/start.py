@@ -1,41 +1,41 @@
-"""The console scripts: each loads its command where Ctrl-C is heeded already, for loading takes a second."""
+"""The console scripts. Each imports its command only when called, so that Ctrl-C then is one line too."""
 
 from __future__ import annotations
 
 import sys
 from importlib import import_module
 
-from gear_dynamics_ros.cli.common import INTERRUPTED
+from gear_dynamics_ros.system.command import INTERRUPTED
 
 
 def gearbox() -> int:
     """Run ``gearbox``; returns the exit code, as all here do."""
-    return _start("gearbox")
+    return _run_main("gearbox")
 
 
 def drive() -> int:
     """Run ``drive``."""
-    return _start("drive")
+    return _run_main("drive")
 
 
 def simulate() -> int:
     """Run ``simulate``."""
-    return _start("simulate")
+    return _run_main("simulate")
 
 
 def replay() -> int:
     """Run ``replay``."""
-    return _start("replay")
+    return _run_main("replay")
 
 
 def analyze() -> int:
     """Run ``analyze``."""
-    return _start("analyze")
+    return _run_main("analyze")
 
 
-def _start(name: str) -> int:
+def _run_main(name: str) -> int:
     try:
-        return int(import_module(f"gear_dynamics_ros.cli.{name}").main())
+        return int(getattr(import_module(f"gear_dynamics_ros.cli.{name}"), f"{name}_main")())
     except KeyboardInterrupt:
         print(f"{name}: interrupted", file=sys.stderr)
         return INTERRUPTED

@@ -1,6 +1,6 @@
-"""Command profiles and expectations: what `drive` plays to a gearbox and what it checks on the outputs.
+"""Command profiles and expectations: what ``drive`` plays to a gearbox and checks on its outputs.
 
-Nothing here knows ROS: a Player takes the waveform, chunk after chunk, and gives back the commands that are
-due. Times of a profile are simulated seconds since the harness joined; units are those of the commands and
+Free of ROS: a Player takes the waveform, chunk by chunk, and gives the commands that are due. Times of a
+profile are simulated seconds since the harness joined the gearbox; values have the units of the commands and
 channels.
 """

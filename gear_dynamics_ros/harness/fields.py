@@ -1,6 +1,7 @@
-"""Typed reading of a profile's tree: every refusal is one line that names entry, value and limit.
+"""Reads entries of a profile and checks their types.
 
-``where`` is the name of the entry in the file, as in ``commands.speed[2]``. All raise UsageError.
+``tree`` is the mapping that holds the entry, ``key`` its key there, and ``where`` the name of ``tree`` in the
+file, as in ``commands.speed[2]``. All raise UsageError in one line with name, value and limit.
 """
 
 from __future__ import annotations
@@ -12,24 +13,24 @@ from typing import Any
 from gear_dynamics_ros.errors import UsageError
 
 
-def mapping(value: object, where: str, keys: Sequence[str]) -> Mapping[str, Any]:
-    """``value`` if it is a mapping with no other keys than ``keys``."""
+def require_mapping(value: object, where: str, keys: Sequence[str]) -> Mapping[str, Any]:
+    """``value`` if it is a mapping whose keys are all in ``keys``."""
     if not isinstance(value, Mapping):
-        raise UsageError(f"{where} is {value!r}, must be a mapping with keys from {', '.join(keys)}")
+        raise UsageError(f"{where} is {value!r}, must be a mapping with keys among {', '.join(keys)}")
     for key in value:
         if key not in keys:
             raise UsageError(f"{where} has the unknown key {key!r}; known: {', '.join(keys)}")
     return value
 
 
-def sequence(value: object, where: str) -> Sequence[object]:
+def require_list(value: object, where: str) -> Sequence[object]:
     """``value`` if it is a list."""
     if not isinstance(value, list):
         raise UsageError(f"{where} is {value!r}, must be a list")
     return value
 
 
-def number(tree: Mapping[str, Any], key: str, where: str) -> float:
+def require_number(tree: Mapping[str, Any], key: str, where: str) -> float:
     """The finite number under ``key``."""
     if key not in tree:
         raise UsageError(f"{where} has no {key}: add it")
@@ -39,40 +40,40 @@ def number(tree: Mapping[str, Any], key: str, where: str) -> float:
     return float(value)
 
 
-def not_negative(tree: Mapping[str, Any], key: str, where: str) -> float:
+def require_not_negative(tree: Mapping[str, Any], key: str, where: str) -> float:
     """The number >= 0 under ``key``."""
-    value = number(tree, key, where)
+    value = require_number(tree, key, where)
     if value < 0.0:
         raise UsageError(f"{where}.{key} is {value:g}, must be >= 0")
     return value
 
 
-def time(tree: Mapping[str, Any], key: str, where: str) -> float:
+def require_time(tree: Mapping[str, Any], key: str, where: str) -> float:
     """The time >= 0 s under ``key``."""
-    value = number(tree, key, where)
+    value = require_number(tree, key, where)
     if value < 0.0:
         raise UsageError(f"{where}.{key} is {value:g} s, must be >= 0")
     return value
 
 
-def window(tree: Mapping[str, Any], where: str) -> tuple[float, float]:
-    """The times under ``from`` and ``to`` in s, the second later than the first."""
-    start, end = time(tree, "from", where), time(tree, "to", where)
+def require_window(tree: Mapping[str, Any], where: str) -> tuple[float, float]:
+    """The times in s under ``from`` and ``to``, of which the second must be later."""
+    start, end = require_time(tree, "from", where), require_time(tree, "to", where)
     if end <= start:
         raise UsageError(f"{where}.to is {end:g} s, must be later than its from, {start:g} s")
     return start, end
 
 
-def text(tree: Mapping[str, Any], key: str, where: str, default: str) -> str:
-    """The text under ``key``."""
+def optional_text(tree: Mapping[str, Any], key: str, where: str, default: str) -> str:
+    """The text under ``key``, or ``default`` without that key."""
     value = tree.get(key, default)
     if not isinstance(value, str):
         raise UsageError(f"{where}.{key} is {value!r}, must be text")
     return value
 
 
-def choice(tree: Mapping[str, Any], key: str, where: str, choices: Sequence[str]) -> str:
-    """The one of ``choices`` under ``key``."""
+def require_choice(tree: Mapping[str, Any], key: str, where: str, choices: Sequence[str]) -> str:
+    """The text under ``key``, which must be one of ``choices``."""
     if key not in tree:
         raise UsageError(f"{where} has no {key}: give one of {', '.join(choices)}")
     value = tree[key]
@@ -81,8 +82,8 @@ def choice(tree: Mapping[str, Any], key: str, where: str, choices: Sequence[str]
     return str(value)
 
 
-def switch(tree: Mapping[str, Any], key: str, where: str, default: bool) -> bool:
-    """The true or false under ``key``."""
+def optional_flag(tree: Mapping[str, Any], key: str, where: str, default: bool) -> bool:
+    """The boolean under ``key``, or ``default`` without that key."""
     value = tree.get(key, default)
     if not isinstance(value, bool):
         raise UsageError(f"{where}.{key} is {value!r}, must be true or false")

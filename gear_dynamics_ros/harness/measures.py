@@ -1,4 +1,4 @@
-"""What is measured of a channel over a window, sample by sample: nothing of the waveform is stored."""
+"""Measures of one channel over a window, computed block by block without storing the waveform."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from typing import Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-Samples: TypeAlias = NDArray[np.float64]
+ChannelSamples: TypeAlias = NDArray[np.float64]
 
 FLANK_STATES: Mapping[str, float] = {"drive": 1.0, "apart": 0.0, "back": -1.0}
 DIRECTIONS: Mapping[str, float] = {"rising": 1.0, "falling": -1.0}
 
 
 class Accumulator(Protocol):
-    """A running measure."""
+    """Computes a measure block by block."""
 
-    def add(self, samples: Samples) -> None:
-        """Take in the next samples, shape (n,), n > 0."""
+    def add(self, samples: ChannelSamples) -> None:
+        """Take in the next samples of the channel, shape (n,), n > 0."""
 
     def values(self) -> tuple[float, ...]:
-        """What was measured, after at least one sample."""
+        """The measured values; needs at least one sample."""
 
 
 class Measure(Protocol):
@@ -36,12 +36,12 @@ class Measure(Protocol):
         """Unit of the measured values."""
 
     def begin(self, interval_ns: int) -> Accumulator:
-        """A new running measure of samples that lie ``interval_ns`` apart."""
+        """A new accumulator for samples every ``interval_ns``."""
 
 
 @dataclass(frozen=True, slots=True)
 class Statistic:
-    """One of STATISTICS: bounds, mean or root mean square."""
+    """One of STATISTICS: extremes, mean or root mean square."""
 
     name: str
 
@@ -54,13 +54,13 @@ class Statistic:
         return channel_unit
 
     def begin(self, interval_ns: int) -> Accumulator:
-        """A new running measure."""
+        """A new accumulator."""
         return STATISTICS[self.name]()
 
 
 @dataclass(frozen=True, slots=True)
-class Share:
-    """Share of the samples in which the teeth stand at ``flank``, a key of FLANK_STATES; 0 to 1."""
+class FlankShare:
+    """Share, 0 to 1, of the samples in the meshing state ``flank``, a key of FLANK_STATES."""
 
     flank: str
 
@@ -69,19 +69,19 @@ class Share:
         return f"share of {self.flank}"
 
     def unit(self, channel_unit: str) -> str:
-        """None."""
+        """Empty: a share has no unit."""
         return ""
 
     def begin(self, interval_ns: int) -> Accumulator:
-        """A new running measure."""
-        return _Share(FLANK_STATES[self.flank])
+        """A new accumulator."""
+        return _FlankShareAccumulator(FLANK_STATES[self.flank])
 
 
 @dataclass(frozen=True, slots=True)
-class Settling:
-    """Time from the window's start until the channel is in the band for good; inf if it ends outside.
+class SettlingTime:
+    """Time from the window's start until the channel stays in a band; inf if it ends outside.
 
-    ``lowest`` and ``highest`` bound the band, in the channel's unit given as ``band_unit``.
+    ``lowest`` and ``highest`` are the limits of the band in the channel's unit, ``band_unit``.
     """
 
     lowest: float
@@ -97,59 +97,62 @@ class Settling:
         return "s"
 
     def begin(self, interval_ns: int) -> Accumulator:
-        """A new running measure."""
-        return _Settling(self.lowest, self.highest, interval_ns)
+        """A new accumulator."""
+        return _SettlingTimeAccumulator(self.lowest, self.highest, interval_ns)
 
 
 @dataclass(frozen=True, slots=True)
-class Monotone:
-    """How far the channel goes back behind its furthest value, in ``direction``, a key of DIRECTIONS."""
+class Reversal:
+    """Largest distance of a channel behind the extreme that it has reached in ``direction``.
+
+    0 for a channel that moves in this direction only. ``direction`` is a key of DIRECTIONS.
+    """
 
     direction: str
 
     def describe(self, channel: str) -> str:
         """Measure and channel in words."""
-        return f"way back of {self.direction} {channel}"
+        return f"reversal of {self.direction} {channel}"
 
     def unit(self, channel_unit: str) -> str:
         """The channel's unit."""
         return channel_unit
 
     def begin(self, interval_ns: int) -> Accumulator:
-        """A new running measure."""
-        return _WayBack(DIRECTIONS[self.direction])
+        """A new accumulator."""
+        return _ReversalAccumulator(DIRECTIONS[self.direction])
 
 
-# The extremes take numpy's functions, not Python's: they hand a NaN on.
+# The extremes use numpy's functions, which propagate NaN; Python's don't.
 
 
-class _Least:
+class _MinimumAccumulator:
     def __init__(self) -> None:
-        self._least = math.inf
+        self._minimum = math.inf
 
-    def add(self, samples: Samples) -> None:
-        self._least = float(np.minimum(self._least, samples.min()))
+    def add(self, samples: ChannelSamples) -> None:
+        self._minimum = float(np.minimum(self._minimum, samples.min()))
 
     def values(self) -> tuple[float, ...]:
-        return (self._least,)
+        return (self._minimum,)
 
 
-class _Greatest:
+class _MaximumAccumulator:
     def __init__(self) -> None:
-        self._greatest = -math.inf
+        self._maximum = -math.inf
 
-    def add(self, samples: Samples) -> None:
-        self._greatest = float(np.maximum(self._greatest, samples.max()))
+    def add(self, samples: ChannelSamples) -> None:
+        self._maximum = float(np.maximum(self._maximum, samples.max()))
 
     def values(self) -> tuple[float, ...]:
-        return (self._greatest,)
+        return (self._maximum,)
 
 
-class _Every:
+class _RangeAccumulator:
     def __init__(self) -> None:
-        self._bounds = _Least(), _Greatest()
+        self._bounds = _MinimumAccumulator(), _MaximumAccumulator()
 
-    def add(self, samples: Samples) -> None:
+    def add(self, samples: ChannelSamples) -> None:
         for bound in self._bounds:
             bound.add(samples)
 
@@ -158,12 +161,12 @@ class _Every:
         return (*least.values(), *greatest.values())
 
 
-class _Mean:
+class _MeanAccumulator:
     def __init__(self) -> None:
         self._total = 0.0
         self._count = 0
 
-    def add(self, samples: Samples) -> None:
+    def add(self, samples: ChannelSamples) -> None:
         self._total += float(samples.sum())
         self._count += len(samples)
 
@@ -171,8 +174,8 @@ class _Mean:
         return (self._total / self._count,)
 
 
-class _RootMeanSquare(_Mean):
-    def add(self, samples: Samples) -> None:
+class _RmsAccumulator(_MeanAccumulator):
+    def add(self, samples: ChannelSamples) -> None:
         super().add(np.square(samples))
 
     def values(self) -> tuple[float, ...]:
@@ -180,25 +183,25 @@ class _RootMeanSquare(_Mean):
         return (math.sqrt(mean),)
 
 
-class _Share(_Mean):
+class _FlankShareAccumulator(_MeanAccumulator):
     def __init__(self, state: float) -> None:
         super().__init__()
         self._state = state
 
-    def add(self, samples: Samples) -> None:
+    def add(self, samples: ChannelSamples) -> None:
         super().add((samples == self._state).astype(np.float64))
 
 
-class _Settling:
+class _SettlingTimeAccumulator:
     def __init__(self, lowest: float, highest: float, interval_ns: int) -> None:
         self._lowest = lowest
         self._highest = highest
         self._interval_ns = interval_ns
         self._count = 0
-        self._settled = 0  # samples up to the last one outside
+        self._settled = 0  # number of samples up to and including the last one outside
 
-    def add(self, samples: Samples) -> None:
-        # What is not inside is outside: a NaN too.
+    def add(self, samples: ChannelSamples) -> None:
+        # The negation also counts NaN as outside.
         outside = np.flatnonzero(~((samples >= self._lowest) & (samples <= self._highest)))
         if len(outside):
             self._settled = self._count + int(outside[-1]) + 1
@@ -208,26 +211,26 @@ class _Settling:
         return (math.inf if self._settled == self._count else self._settled * self._interval_ns / 1e9,)
 
 
-class _WayBack:
+class _ReversalAccumulator:
     def __init__(self, sign: float) -> None:
         self._sign = sign
         self._furthest = -math.inf
-        self._back = 0.0
+        self._reversal = 0.0
 
-    def add(self, samples: Samples) -> None:
+    def add(self, samples: ChannelSamples) -> None:
         ahead = self._sign * samples
         furthest = np.maximum(np.maximum.accumulate(ahead), self._furthest)
-        self._back = float(np.maximum(self._back, (furthest - ahead).max()))
+        self._reversal = float(np.maximum(self._reversal, (furthest - ahead).max()))
         self._furthest = float(furthest[-1])
 
     def values(self) -> tuple[float, ...]:
-        return (self._back,)
+        return (self._reversal,)
 
 
 STATISTICS: Mapping[str, Callable[[], Accumulator]] = {
-    "every": _Every,
-    "smallest": _Least,
-    "largest": _Greatest,
-    "mean": _Mean,
-    "rms": _RootMeanSquare,
+    "every": _RangeAccumulator,
+    "smallest": _MinimumAccumulator,
+    "largest": _MaximumAccumulator,
+    "mean": _MeanAccumulator,
+    "rms": _RmsAccumulator,
 }

@@ -1,4 +1,4 @@
-"""Plays a profile along the simulated time of a gearbox and measures as it goes."""
+"""Plays a profile in step with the simulated time of a gearbox, and measures its waveform."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from gear_dynamics_ros.harness.profile import Profile
 from gear_dynamics_ros.harness.results import Result, unreached
 
 
-class _Window:
-    """Measures one expectation over the samples ``first`` to before ``beyond``, counted from the origin."""
+class _WindowMeasurement:
+    """Measures one expectation over the samples [first, end), counted from the origin."""
 
     def __init__(self, expectation: Expectation, column: int, interval_ns: int) -> None:
         self._expectation = expectation
         self._first = _samples_before(expectation.start, interval_ns)
-        self._beyond = _samples_before(expectation.end, interval_ns)
+        self._end = _samples_before(expectation.end, interval_ns)
         self._column = column
         self._count = 0
         self._measured = expectation.measure.begin(interval_ns)
 
     def add(self, first_sample: int, samples: NDArray[np.float64]) -> None:
-        """Take in what lies in the window of ``samples`` (n, channels), the first being ``first_sample``."""
-        begin, end = max(self._first - first_sample, 0), min(self._beyond - first_sample, len(samples))
-        if begin < end:
-            self._measured.add(samples[begin:end, self._column])
-            self._count += end - begin
+        """Take in what lies in the window of ``samples`` (n, channels), from index ``first_sample`` on."""
+        start, end = max(self._first - first_sample, 0), min(self._end - first_sample, len(samples))
+        if start < end:
+            self._measured.add(samples[start:end, self._column])
+            self._count += end - start
 
     def result(self, reached: int) -> Result:
-        """The result when the samples before ``reached`` have gone by."""
-        gone_by = min(max(reached, self._first), self._beyond) - self._first
+        """The result once simulated time has reached the sample ``reached``."""
+        passed = min(max(reached, self._first), self._end) - self._first
         values = self._measured.values() if self._count else ()
-        missing = gone_by - self._count
-        return Result(self._expectation, values, self._count, missing, reached >= self._beyond)
+        missing = passed - self._count
+        return Result(self._expectation, values, self._count, missing, reached >= self._end)
 
 
 def _samples_before(time: float, interval_ns: int) -> int:
@@ -44,13 +44,13 @@ def _samples_before(time: float, interval_ns: int) -> int:
 
 
 class Player:
-    """Follows the simulated time of a gearbox through its waveform: tells commands, measures as it goes.
+    """Follows the simulated time of a gearbox by its waveform: gives the commands due, and measures.
 
-    The first chunk only sets the origin: profile time 0 is its end. Nothing of the waveform is stored.
+    The first chunk only sets the origin: profile time 0 is its end. The waveform is not stored.
     """
 
     def __init__(self, profile: Profile, channels: Sequence[str]) -> None:
-        """``channels`` names the waveform's columns. Raises GearboxError where a needed one is missing."""
+        """``channels`` names the waveform's columns. Raises GearboxError if a needed one is missing."""
         needed = {"time": "to follow simulated time"}
         needed.update({e.channel: f"by expectation {e.name!r}" for e in profile.expectations})
         for channel, purpose in needed.items():
@@ -61,10 +61,10 @@ class Player:
                 )
         self.profile = profile
         self._columns = {name: column for column, name in enumerate(channels)}
-        self._windows: list[_Window] = []
+        self._windows: list[_WindowMeasurement] = []
         self._interval_ns = 0
         self._origin = 0  # sample index of profile time 0
-        self._reached = 0  # samples gone by since the origin
+        self._reached = 0  # samples since the origin
 
     @property
     def time_ns(self) -> int:
@@ -83,32 +83,33 @@ class Player:
 
     @property
     def finished(self) -> bool:
-        """True once the whole profile has gone by."""
+        """Whether the whole profile has been played."""
         return self._interval_ns > 0 and self.time_ns >= round(self.profile.duration * 1e9)
 
     def feed(self, samples: NDArray[np.float64]) -> None:
         """Take the next chunk, shape (n, channels).
 
-        Raises GearboxError where simulated time runs backwards or the chunk can't carry the profile.
+        Raises GearboxError if simulated time runs backwards, the chunk has a single sample, or chunks are too
+        long for a frequency in the profile.
         """
         times = samples[:, self._columns["time"]]
         if not self._interval_ns:
-            self._begin(times)
+            self._set_origin(times)
         else:
-            self._take(times, samples)
+            self._measure(times, samples)
 
     def commands(self) -> dict[str, float]:
-        """The value of every command that is set by now."""
+        """The value of every command that the profile has set by now, by name."""
         values = {name: track.value(self.time) for name, track in self.profile.commands.items()}
         return {name: value for name, value in values.items() if value is not None}
 
     def results(self) -> tuple[Result, ...]:
-        """The state of every expectation, in the profile's order."""
+        """The results so far, one for each expectation in the profile's order."""
         if not self._interval_ns:
             return unreached(self.profile.expectations)
         return tuple(window.result(self._reached) for window in self._windows)
 
-    def _begin(self, times: NDArray[np.float64]) -> None:
+    def _set_origin(self, times: NDArray[np.float64]) -> None:
         if len(times) < 2:
             raise GearboxError(
                 "a chunk has 1 sample, drive needs at least 2: raise the gearbox's solver.chunk"
@@ -117,7 +118,7 @@ class Player:
         self._require_sampling(len(times) * self._interval_ns / 1e9)
         self._origin = self._index(times[-1]) + 1
         self._windows = [
-            _Window(expectation, self._columns[expectation.channel], self._interval_ns)
+            _WindowMeasurement(expectation, self._columns[expectation.channel], self._interval_ns)
             for expectation in self.profile.expectations
         ]
 
@@ -130,7 +131,7 @@ class Player:
                     f"of {chunk:g} s carries at most {limit:g} Hz: lower it or shorten solver.chunk"
                 )
 
-    def _take(self, times: NDArray[np.float64], samples: NDArray[np.float64]) -> None:
+    def _measure(self, times: NDArray[np.float64], samples: NDArray[np.float64]) -> None:
         first = self._index(times[0]) - self._origin
         if first < self._reached:
             raise GearboxError(

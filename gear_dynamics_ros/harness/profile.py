@@ -1,34 +1,34 @@
-"""The profile file: parameters and commands for the gearbox, expectations on its outputs."""
+"""Profile files: parameters and commands for the gearbox, and expectations on its outputs."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
+from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.harness import fields
 from gear_dynamics_ros.harness.expectations import Expectation, parse_expectations
-from gear_dynamics_ros.harness.tracks import Track, parse_track
+from gear_dynamics_ros.harness.tracks import CommandTrack, RampPiece, parse_track
 from gear_dynamics_ros.parameters import Parameters, specifications
-from gear_dynamics_ros.ros_yaml import parse_yaml
-from gear_dynamics_ros.signals import Commands
+from gear_dynamics_ros.parameters.rcl_yaml import parse_yaml
 
-Setting: TypeAlias = bool | int | float | str | list[float] | list[str]
+ParameterSetting: TypeAlias = bool | int | float | str | list[float] | list[str]
 
 _KEYS = ("description", "duration", "parameters", "reset", "commands", "expectations")
 
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """Parameters by dotted name, commands over time, and what the outputs are expected to show."""
+    """Parameters by dotted name, commands over time, and expectations on the outputs."""
 
     description: str
     duration: float  # s
-    parameters: Mapping[str, Setting]
-    reset: bool  # back to the start state before time 0, with these parameters
-    commands: Mapping[str, Track]
+    parameters: Mapping[str, ParameterSetting]
+    reset: bool  # the gearbox before time 0 to its start state, with these parameters
+    commands: Mapping[str, CommandTrack]
     expectations: tuple[Expectation, ...]
 
 
@@ -46,41 +46,65 @@ def load_profile(path: Path) -> Profile:
 
 
 def parse_profile(data: object, folder: Path) -> Profile:
-    """Profile from the tree of its YAML file, which lies in ``folder``.
+    """Profile from ``data``, the content of a YAML file in ``folder``.
 
-    Raises UsageError on anything not understood.
+    Raises UsageError in one line naming entry, value and limit.
     """
-    tree = fields.mapping(data, "the profile", _KEYS)
-    commands = fields.mapping(tree.get("commands", {}), "commands", Commands._fields)
+    tree = fields.require_mapping(data, "the profile", _KEYS)
+    commands = fields.require_mapping(tree.get("commands", {}), "commands", Commands._fields)
     tracks = {name: parse_track(name, entries, folder) for name, entries in commands.items()}
     expectations = parse_expectations(tree.get("expectations", []))
     ends = [track.end for track in tracks.values()] + [expectation.end for expectation in expectations]
     last = max(ends, default=0.0)
-    duration = fields.number(tree, "duration", "the profile") if "duration" in tree else last
+    duration = fields.require_number(tree, "duration", "the profile") if "duration" in tree else last
     if duration < last:
         raise UsageError(
             f"duration is {duration:g} s, but an entry ends at {last:g} s: make it at least that long"
         )
     if duration <= 0.0:
-        raise UsageError(f"duration is {duration:g} s, must be > 0: nothing to play")
-    description = fields.text(tree, "description", "the profile", "")
+        raise UsageError(f"duration is {duration:g} s, must be > 0")
+    description = fields.optional_text(tree, "description", "the profile", "")
     return Profile(
         description,
         duration,
         _parameters(tree.get("parameters", {})),
-        fields.switch(tree, "reset", "the profile", False),
+        fields.optional_flag(tree, "reset", "the profile", False),
         tracks,
         expectations,
     )
 
 
-def _parameters(tree: object) -> Mapping[str, Setting]:
-    """Only names and form are checked here: what may be set, and to what, is for the gearbox to say."""
+def step_profile(description: str, duration: float, commands: Sequence[tuple[float, Commands]]) -> Profile:
+    """Profile of ``duration`` s that sets commands in steps: ``commands`` are times in s, ascending from 0.
+
+    A command whose value stays the same has no step.
+    """
+    return Profile(
+        description=description,
+        duration=duration,
+        parameters={},
+        reset=False,
+        commands={name: _step_track(commands, name) for name in Commands._fields},
+        expectations=(),
+    )
+
+
+def _step_track(commands: Sequence[tuple[float, Commands]], name: str) -> CommandTrack:
+    pieces: list[RampPiece] = []
+    for time, values in commands:
+        value = float(getattr(values, name))
+        if not pieces or value != pieces[-1].final:
+            pieces.append(RampPiece(time, time, value, value))
+    return CommandTrack(tuple(pieces))
+
+
+def _parameters(tree: object) -> Mapping[str, ParameterSetting]:
+    """Checks names and types; the gearbox checks whether a value may be set."""
     if not isinstance(tree, Mapping):
         raise UsageError(f"parameters is {tree!r}, must be a mapping of dotted names to values")
     settings = {str(name): _setting(f"parameters.{name}", value) for name, value in tree.items()}
     try:
-        # The gearbox would only say that something unknown was set.
+        # To suggest the right name, which the gearbox does not.
         Parameters.from_flat(
             {name: value for name, value in settings.items() if name not in specifications()}
         )
@@ -89,7 +113,7 @@ def _parameters(tree: object) -> Mapping[str, Setting]:
     return settings
 
 
-def _setting(where: str, value: object) -> Setting:
+def _setting(where: str, value: object) -> ParameterSetting:
     if isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, list) and value:

@@ -1,4 +1,4 @@
-"""What became of the expectations, in words and numbers."""
+"""Results of the expectations, as values and text."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from gear_dynamics_ros.harness.expectations import Expectation
 
 
 class Result(NamedTuple):
-    """What became of one expectation."""
+    """The result of one expectation."""
 
     expectation: Expectation
-    values: tuple[float, ...]  # least and greatest for `every`, else one number; empty without samples
+    values: tuple[float, ...]  # minimum and maximum for `every`, else one number; empty without samples
     samples: int
     missing: int  # samples of the window that never arrived
-    complete: bool  # simulated time has passed the window's end
+    complete: bool  # simulated time has reached the window's end
 
     @property
     def passed(self) -> bool:
-        """True where every sample of the window was seen and the measure lies within the limits."""
+        """Whether every sample of the window arrived and the measure is within the limits."""
         if not self.complete or self.missing or not self.values:
             return False
         return all(self.expectation.minimum <= value <= self.expectation.maximum for value in self.values)
@@ -36,13 +36,13 @@ class Result(NamedTuple):
         """The measured values as text."""
         if not self.values:
             return "-"
-        # Only settling has no end.
+        # Infinite seconds: the channel did not settle.
         if math.inf in self.values and self.expectation.unit == "s":
             return "never"
         return f"{' to '.join(f'{value:.6g}' for value in self.values)} {self.expectation.unit}".rstrip()
 
     def reason(self) -> str:
-        """Why it did not pass: name, window, value, limit."""
+        """Why it did not pass: name, window, value and limit."""
         expectation = self.expectation
         head = f"{expectation.name}: {expectation.describe()} in {expectation.window()}"
         if not self.complete:
@@ -55,7 +55,7 @@ class Result(NamedTuple):
 
 
 def unreached(expectations: Sequence[Expectation]) -> tuple[Result, ...]:
-    """The results before anything was played."""
+    """The results of ``expectations`` before anything was played."""
     return tuple(Result(expectation, (), 0, 0, False) for expectation in expectations)
 
 

@@ -1,4 +1,4 @@
-"""Values over time from a CSV file, and what lies between its rows."""
+"""A command over time from a CSV file, and the value between its rows."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from numpy.typing import NDArray
 
 from gear_dynamics_ros.errors import UsageError
 
-TIME = "time"
+TIME_COLUMN = "time"
 
 
-class Series(NamedTuple):
-    """Values over time, shape (n,) each: ``times`` in s, rising from 0; ``values`` in the command's unit."""
+class CommandSeries(NamedTuple):
+    """``times`` in s, ascending from 0, and ``values`` in the command's unit; shape (n,) each."""
 
     times: NDArray[np.float64]
     values: NDArray[np.float64]
 
 
-def linear(series: Series, time: float) -> float:
-    """Value on the straight line between the rows around ``time`` (s, >= 0)."""
+def interpolate_linear(series: CommandSeries, time: float) -> float:
+    """Value at ``time`` (s, >= 0), interpolated linearly between the rows."""
     return float(np.interp(time, series.times, series.values))
 
 
-def held(series: Series, time: float) -> float:
+def hold_last_value(series: CommandSeries, time: float) -> float:
     """Value of the last row at or before ``time`` (s, >= 0)."""
     return float(series.values[np.searchsorted(series.times, time, side="right") - 1])
 
 
-Interpolation: TypeAlias = Callable[[Series, float], float]
-INTERPOLATIONS: Mapping[str, Interpolation] = {"linear": linear, "held": held}
+Interpolation: TypeAlias = Callable[[CommandSeries, float], float]
+INTERPOLATIONS: Mapping[str, Interpolation] = {"linear": interpolate_linear, "held": hold_last_value}
 
 
-def load_series(path: Path, column: str) -> Series:
+def load_series(path: Path, column: str) -> CommandSeries:
     """The columns ``time`` and ``column`` of a CSV file whose first line names its columns.
 
     Raises UsageError in one line naming file, line, value and limit.
@@ -48,18 +48,18 @@ def load_series(path: Path, column: str) -> Series:
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror}; name a readable CSV file") from error
     except (UnicodeDecodeError, csv.Error) as error:
-        raise UsageError(f"{path}: no CSV text: {error}") from error
+        raise UsageError(f"{path}: not CSV text: {error}") from error
     except UsageError as error:
         raise UsageError(f"{path}, {error}") from error
     if not pairs:
-        raise UsageError(f"{path}: no rows below the names of the columns: add at least one")
+        raise UsageError(f"{path}: no rows below the line of column names: add at least one")
     times, values = zip(*pairs, strict=True)
-    return Series(np.array(times), np.array(values))
+    return CommandSeries(np.array(times), np.array(values))
 
 
 def _pairs(rows: Iterator[Sequence[str]], column: str) -> Iterator[tuple[float, float]]:
     names = [name.strip() for name in next(rows, [])]
-    for name in (TIME, column):
+    for name in (TIME_COLUMN, column):
         if names.count(name) != 1:
             raise UsageError(
                 f"line 1: {names.count(name)} columns {name!r} in {', '.join(names)!r}, must be one"
@@ -70,7 +70,7 @@ def _pairs(rows: Iterator[Sequence[str]], column: str) -> Iterator[tuple[float, 
             continue
         if len(row) != len(names):
             raise UsageError(f"line {line}: {len(row)} columns, must be {len(names)} as in line 1")
-        time = _finite(row[names.index(TIME)], TIME, line)
+        time = _finite(row[names.index(TIME_COLUMN)], TIME_COLUMN, line)
         _require_later(time, earlier, line)
         earlier = time
         yield time, _finite(row[names.index(column)], column, line)

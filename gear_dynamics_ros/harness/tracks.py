@@ -1,4 +1,4 @@
-"""One command over time: steps, ramps, sines, chirps and replayed series, one after the other."""
+"""One command over time: steps, ramps, sines, chirps and values from a file, one after the other."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from typing import Any, Protocol
 
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.harness import fields
-from gear_dynamics_ros.harness.series import INTERPOLATIONS, Interpolation, Series, load_series
+from gear_dynamics_ros.harness.series import INTERPOLATIONS, CommandSeries, Interpolation, load_series
 
 _STEP_KEYS = ("at", "value")
-_SPAN_KEYS = ("from", "to", "value", "amplitude", "frequency", "end_frequency")
+_RAMP_KEYS = ("from", "to", "value", "amplitude", "frequency", "end_frequency")
 _SERIES_KEYS = ("from", "csv", "column", "interpolation")
 
 
-class Piece(Protocol):
-    """What sets a command from ``start`` on, until the next piece starts. Times in s."""
+class TrackPiece(Protocol):
+    """Sets a command from ``start`` on, until the next piece starts. Times in s."""
 
     @property
     def start(self) -> float:
@@ -27,25 +27,25 @@ class Piece(Protocol):
 
     @property
     def end(self) -> float:
-        """Time from which the value stays."""
+        """Time from which the value is constant."""
 
     @property
     def final(self) -> float:
-        """The value that stays."""
+        """The value from ``end`` on."""
 
     @property
     def highest_frequency(self) -> float:
-        """Highest frequency asked for, Hz; 0 without sines."""
+        """Highest frequency of its sines, Hz; 0 without any."""
 
     def value(self, time: float) -> float:
         """Value at ``time`` >= start."""
 
 
 @dataclass(frozen=True, slots=True)
-class Segment:
-    """A ramp from ``initial`` to ``final`` with a sine or a linear chirp on top; then it stays at ``final``.
+class RampPiece:
+    """A ramp from ``initial`` to ``final``, plus a sine or a linear chirp; constant ``final`` after it.
 
-    ``start`` and ``end`` in s (equal for a step), frequencies in Hz, the rest in the command's unit.
+    ``start`` and ``end`` in s (equal for a step), frequencies in Hz, all others in the command's unit.
     """
 
     start: float
@@ -58,7 +58,7 @@ class Segment:
 
     @property
     def highest_frequency(self) -> float:
-        """Highest frequency asked for, Hz; 0 without sines."""
+        """Highest frequency of its sines, Hz; 0 without any."""
         return max(self.frequency, self.end_frequency)
 
     def value(self, time: float) -> float:
@@ -73,17 +73,17 @@ class Segment:
 
 
 @dataclass(frozen=True, slots=True)
-class Replay:
-    """A series of values from ``start`` (s) on; then it stays at the last."""
+class SeriesPiece:
+    """The values of a series from ``start`` (s) on; constant after the last one."""
 
     start: float
-    series: Series
+    series: CommandSeries
     interpolation: Interpolation
     highest_frequency: float = 0.0
 
     @property
     def end(self) -> float:
-        """Time from which the value stays, s."""
+        """Time from which the value is constant, s."""
         return self.start + float(self.series.times[-1])
 
     @property
@@ -97,10 +97,10 @@ class Replay:
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
+class CommandTrack:
     """The pieces of one command, in order of time."""
 
-    pieces: tuple[Piece, ...]
+    pieces: tuple[TrackPiece, ...]
 
     def value(self, time: float) -> float | None:
         """Value at ``time`` in s, None before the first piece."""
@@ -109,22 +109,22 @@ class Track:
 
     @property
     def end(self) -> float:
-        """Time from which the value stays, s."""
+        """Time from which the value is constant, s."""
         return self.pieces[-1].end
 
     @property
     def highest_frequency(self) -> float:
-        """Highest frequency asked for, Hz; 0 without sines."""
+        """Highest frequency of its sines, Hz; 0 without any."""
         return max(piece.highest_frequency for piece in self.pieces)
 
 
-def parse_track(command: str, entries: object, folder: Path) -> Track:
-    """The track of ``command`` from its list in the profile; CSV files are looked for below ``folder``.
+def parse_track(command: str, entries: object, folder: Path) -> CommandTrack:
+    """The track of ``command`` from its list in the profile; paths of CSV files are relative to ``folder``.
 
     Raises UsageError in one line naming entry (and file), value and limit.
     """
-    pieces: list[Piece] = []
-    for position, entry in enumerate(fields.sequence(entries, f"commands.{command}")):
+    pieces: list[TrackPiece] = []
+    for position, entry in enumerate(fields.require_list(entries, f"commands.{command}")):
         where = f"commands.{command}[{position}]"
         piece = _piece(where, entry, pieces[-1].final if pieces else None, command, folder)
         if pieces:
@@ -132,63 +132,65 @@ def parse_track(command: str, entries: object, folder: Path) -> Track:
         pieces.append(piece)
     if not pieces:
         raise UsageError(f"commands.{command} is empty: give it at least one entry {{at: 0.0, value: X}}")
-    return Track(tuple(pieces))
+    return CommandTrack(tuple(pieces))
 
 
-def _require_order(where: str, piece: Piece, previous: Piece) -> None:
+def _require_order(where: str, piece: TrackPiece, previous: TrackPiece) -> None:
     if piece.start < previous.end or piece.start == previous.start:
         raise UsageError(
-            f"{where} starts at {piece.start:g} s, before the entry above is over "
+            f"{where} starts at {piece.start:g} s, before the entry above ends "
             f"({previous.start:g} to {previous.end:g} s): put the times in order"
         )
 
 
-def _piece(where: str, entry: object, level: float | None, command: str, folder: Path) -> Piece:
-    """One entry; ``level`` is the value in force before it."""
+def _piece(where: str, entry: object, level: float | None, command: str, folder: Path) -> TrackPiece:
+    """The piece of one entry; ``level`` is the value before it, None for the first."""
     if isinstance(entry, Mapping) and "at" in entry:
-        return _step(where, fields.mapping(entry, where, _STEP_KEYS))
+        return _step(where, fields.require_mapping(entry, where, _STEP_KEYS))
     if isinstance(entry, Mapping) and "csv" in entry:
-        return _replay(where, fields.mapping(entry, where, _SERIES_KEYS), command, folder)
-    return _span(where, fields.mapping(entry, where, _SPAN_KEYS), level)
+        return _series(where, fields.require_mapping(entry, where, _SERIES_KEYS), command, folder)
+    return _ramp(where, fields.require_mapping(entry, where, _RAMP_KEYS), level)
 
 
-def _step(where: str, tree: Mapping[str, Any]) -> Segment:
-    start, value = fields.time(tree, "at", where), fields.number(tree, "value", where)
-    return Segment(start, start, value, value)
+def _step(where: str, tree: Mapping[str, Any]) -> RampPiece:
+    start, value = fields.require_time(tree, "at", where), fields.require_number(tree, "value", where)
+    return RampPiece(start, start, value, value)
 
 
-def _replay(where: str, tree: Mapping[str, Any], command: str, folder: Path) -> Replay:
-    start = fields.time(tree, "from", where)
-    way = "linear"
+def _series(where: str, tree: Mapping[str, Any], command: str, folder: Path) -> SeriesPiece:
+    start = fields.require_time(tree, "from", where)
+    interpolation = "linear"
     if "interpolation" in tree:
-        way = fields.choice(tree, "interpolation", where, tuple(INTERPOLATIONS))
-    column = fields.text(tree, "column", where, command)
+        interpolation = fields.require_choice(tree, "interpolation", where, tuple(INTERPOLATIONS))
+    column = fields.optional_text(tree, "column", where, command)
     try:
-        series = load_series(folder / fields.text(tree, "csv", where, ""), column)
+        series = load_series(folder / fields.optional_text(tree, "csv", where, ""), column)
     except UsageError as error:
         raise UsageError(f"{where}: {error}") from error
-    return Replay(start, series, INTERPOLATIONS[way])
+    return SeriesPiece(start, series, INTERPOLATIONS[interpolation])
 
 
-def _span(where: str, tree: Mapping[str, Any], level: float | None) -> Segment:
-    start, end = fields.window(tree, where)
+def _ramp(where: str, tree: Mapping[str, Any], level: float | None) -> RampPiece:
+    start, end = fields.require_window(tree, where)
     if level is None:
-        raise UsageError(f"{where} starts from no known value: put {{at: {start:g}, value: X}} before it")
+        raise UsageError(f"{where} has no value to start from: put {{at: {start:g}, value: X}} before it")
     if "value" not in tree and "amplitude" not in tree:
         raise UsageError(
             f"{where} has neither value nor amplitude: give a ramp its value, a sine its amplitude"
         )
-    final = fields.number(tree, "value", where) if "value" in tree else level
+    final = fields.require_number(tree, "value", where) if "value" in tree else level
     if "amplitude" not in tree:
         spare = [key for key in ("frequency", "end_frequency") if key in tree]
         if spare:
-            raise UsageError(f"{where}.{spare[0]} has no amplitude beside it: add one or drop it")
-        return Segment(start, end, level, final)
-    frequency = fields.number(tree, "frequency", where)
-    end_frequency = fields.number(tree, "end_frequency", where) if "end_frequency" in tree else frequency
+            raise UsageError(f"{where}.{spare[0]} has no amplitude: add one, or remove it")
+        return RampPiece(start, end, level, final)
+    frequency = fields.require_number(tree, "frequency", where)
+    end_frequency = (
+        fields.require_number(tree, "end_frequency", where) if "end_frequency" in tree else frequency
+    )
     for key, hertz in (("frequency", frequency), ("end_frequency", end_frequency)):
         if hertz <= 0.0:
             raise UsageError(f"{where}.{key} is {hertz:g} Hz, must be > 0")
-    return Segment(
-        start, end, level, final, fields.number(tree, "amplitude", where), frequency, end_frequency
+    return RampPiece(
+        start, end, level, final, fields.require_number(tree, "amplitude", where), frequency, end_frequency
     )

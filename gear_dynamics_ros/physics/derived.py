@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gear_dynamics_ros.parameters import Bearing, Parameters
+from gear_dynamics_ros.parameters import BearingParameters, Parameters
 from gear_dynamics_ros.physics import kernel
 from gear_dynamics_ros.physics.restitution import damping_factor
 from gear_dynamics_ros.physics.surface import Surface, fractal_surface
@@ -207,7 +207,7 @@ def hertz_factor(parameters: Parameters, length: float) -> float:
     return 0.5 * math.pi * length / compliance * math.sqrt(0.5)
 
 
-def film_factor(parameters: Parameters, bearing: Bearing) -> float:
+def film_factor(parameters: Parameters, bearing: BearingParameters) -> float:
     """mu (D/2) L^3 / (4 C^2) of (14), (15) in N s."""
     return (
         parameters.oil.viscosity

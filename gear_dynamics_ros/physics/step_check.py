@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gear_dynamics_ros.parameters import Bearing, Parameters
+from gear_dynamics_ros.parameters import BearingParameters, Parameters
 from gear_dynamics_ros.physics import derived
 
 # Where RK4 becomes unstable: on an undamped oscillation and on a pure decay.
@@ -42,11 +42,6 @@ class Check(NamedTuple):
             f"{self.limit:.3g}: {self.consequence}; "
             f"lower solver.step to {self.limit / self.rate:.2g} s or less"
         )
-
-
-def warnings(parameters: Parameters, speed: float | None = None) -> list[str]:
-    """A line for each rate that is too high for the step; ``speed`` in rad/s as ``checks`` takes it."""
-    return [check.message for check in checks(parameters, speed) if not check.holds]
 
 
 def checks(parameters: Parameters, speed: float | None = None) -> list[Check]:
@@ -198,7 +193,7 @@ def waves_per_turn(parameters: Parameters) -> float:
     return parameters.gears.driving.teeth * shortest
 
 
-def bearing_of(parameters: Parameters, side: str) -> Bearing:
+def bearing_of(parameters: Parameters, side: str) -> BearingParameters:
     """Bearing of the ``side`` gear."""
-    bearing: Bearing = getattr(parameters.bearings, side)
+    bearing: BearingParameters = getattr(parameters.bearings, side)
     return bearing

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.errors import UsageError
+from gear_dynamics_ros.parameters import MOST_WAVES_PER_REVOLUTION
 
-LARGEST_ORDER = 200_000
 SAMPLES_PER_WAVE = 64
 ROOT_ITERATIONS = 40
 
@@ -49,10 +49,10 @@ def _unit_surface(
 ) -> tuple[Surface, float]:
     """The sum without its scale, dimensionless, and the mean of its magnitude."""
     ladder = [scale**j for j in range(waves)]
-    if teeth * ladder[-1] > LARGEST_ORDER:
+    if teeth * ladder[-1] > MOST_WAVES_PER_REVOLUTION:
         raise UsageError(
             f"surface.waves = {waves} with surface.scale = {scale} puts {teeth * ladder[-1]:.3g} waves on a "
-            f"revolution; the limit is {LARGEST_ORDER}: lower one of them"
+            f"revolution; the limit is {MOST_WAVES_PER_REVOLUTION}: lower one of them"
         )
     orders = np.array([round(teeth * factor) for factor in ladder], dtype=np.int64)
     weights = np.array([factor ** (fractal_dimension - 2.0) for factor in ladder])

@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 import yaml
 from mcap.records import Channel, Schema
 
-from gear_dynamics_ros.messages import TYPESTORE
+from gear_dynamics_ros.messages.cdr import TYPESTORE
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.topics import TOPICS, Topic, resolve
 
@@ -33,7 +33,7 @@ _CHECKPOINT = re.compile(r"checkpoint_(\d+)\.json")
 _DUMPER = yaml.CSafeDumper if yaml.__with_libyaml__ else yaml.SafeDumper
 
 
-class Part(NamedTuple):
+class PartSummary(NamedTuple):
     """One MCAP file of a recording: its messages on each topic (full name), and from when to when."""
 
     name: str
@@ -146,7 +146,7 @@ class Definitions(NamedTuple):
     channels: dict[int, Channel]
 
 
-def definitions(topics: Iterable[tuple[str, Topic]]) -> Definitions:
+def channel_definitions(topics: Iterable[tuple[str, Topic]]) -> Definitions:
     """Of topics with full names: channels are numbered from 1 in their order."""
     found = Definitions({}, {})
     numbers: dict[str, int] = {}  # of schemas
@@ -170,7 +170,7 @@ def channel_metadata(topic: Topic) -> dict[str, str]:
     return {"offered_qos_profiles": yaml_text(qos(topic)), "topic_type_hash": type_hash(topic.type)}
 
 
-def bag_information(topics: Mapping[str, Topic], parts: Sequence[Part]) -> dict[str, Any]:
+def bag_information(topics: Mapping[str, Topic], parts: Sequence[PartSummary]) -> dict[str, Any]:
     """Body of metadata.yaml for ``topics`` (full name -> topic) and parts."""
     filled = [part for part in parts if part.messages]
     start_ns = min((part.start_ns for part in filled), default=0)
@@ -209,12 +209,12 @@ def bag_information(topics: Mapping[str, Topic], parts: Sequence[Part]) -> dict[
     }
 
 
-def metadata_yaml(topics: Mapping[str, Topic], parts: Sequence[Part]) -> str:
+def metadata_yaml(topics: Mapping[str, Topic], parts: Sequence[PartSummary]) -> str:
     """Text of metadata.yaml."""
     return yaml_text({INFORMATION: bag_information(topics, parts)})
 
 
-def embedded_metadata(topics: Mapping[str, Topic], part: Part) -> dict[str, str]:
+def embedded_metadata(topics: Mapping[str, Topic], part: PartSummary) -> dict[str, str]:
     """The same about one part alone, for the MCAP metadata record ROSBAG2_METADATA."""
     return {ROSBAG2_KEY: yaml_text(bag_information(topics, [part]))}
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 
 from mcap.records import AttachmentIndex
 from mcap.writer import MCAP0_MAGIC
@@ -15,17 +14,12 @@ from mcap.writer import MCAP0_MAGIC
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.layout import RunMetadata
-from gear_dynamics_ros.recording.survey import (
-    Survey,
-    first_bytes,
-    read_attachment,
-    read_chunk,
-    read_metadata,
-    survey,
-)
+from gear_dynamics_ros.recording.mcap.index import FileIndex, read_index, read_metadata
+from gear_dynamics_ros.recording.mcap.records import first_bytes, read_attachment, read_chunk
+from gear_dynamics_ros.simulation.checkpoint import StoredCheckpoint
 
 
-class Stored(NamedTuple):
+class StoredMessage(NamedTuple):
     """A message as it stands in a file."""
 
     topic: str
@@ -40,65 +34,69 @@ class PartFile:
     path: Path
     run: RunMetadata
     parameters: str  # those in force at the start, as ``parameters.dump`` writes them
-    start: dict[str, Any]  # checkpoint from which the part starts
+    start: StoredCheckpoint  # from which the part starts
     size: int  # bytes
-    found: Survey
+    index: FileIndex
 
     @property
     def complete(self) -> bool:
         """Whether the file was finished; False after a crash."""
-        return self.found.complete
+        return self.index.complete
 
     @property
     def first_sample(self) -> int:
         """Sample before which the part starts."""
-        return int(self.start["sample"])
+        return self.start.checkpoint.sample
 
     @property
     def end(self) -> str:
         """Name of the attachment with the state in which the part ended; empty if there is none."""
-        found = [index.name for index in self.found.attachments if index.name == layout.END_ATTACHMENT]
-        return found[-1] if found else ""
+        names = [entry.name for entry in self.index.attachments if entry.name == layout.END_ATTACHMENT]
+        return names[-1] if names else ""
 
     @property
     def checkpoints(self) -> dict[int, str]:
         """Names of the attachments with states behind the start, by sample, in order."""
-        numbered = [(layout.checkpoint_sample(index.name), index.name) for index in self.found.attachments]
+        numbered = [(layout.checkpoint_sample(entry.name), entry.name) for entry in self.index.attachments]
         return dict(sorted((sample, name) for sample, name in numbered if sample is not None))
 
     def attachment(self, name: str) -> bytes:
         """Content of an attachment. Raises GearboxError if it can't be read."""
         with reading(self.path) as stream:
-            return read_attachment(stream, _index(self.found, name))
+            return read_attachment(stream, _index(self.index, name))
 
-    def messages(self, topics: Collection[str], from_ns: int | None = None) -> Iterator[Stored]:
+    def stored(self, name: str) -> StoredCheckpoint:
+        """Checkpoint in an attachment. Raises GearboxError if it can't be read or is none."""
+        return _stored(self.attachment(name), f"{self.path.name}: {name}")
+
+    def messages(self, topics: Collection[str], from_ns: int | None = None) -> Iterator[StoredMessage]:
         """Messages of topics (full names) in their order, those before ``from_ns`` left out.
 
         Holds one chunk of the file at a time. Raises GearboxError where a chunk is spoilt.
         """
         wanted = self._channels(topics)
         with reading(self.path) as stream:
-            for index in self.found.chunks:
+            for index in self.index.chunks:
                 if wanted.keys().isdisjoint(index.message_index_offsets):
                     continue
                 if from_ns is not None and index.message_end_time < from_ns:
                     continue
                 for channel, time_ns, data in read_chunk(stream, index).messages(wanted):
                     if from_ns is None or time_ns >= from_ns:
-                        yield Stored(wanted[channel], time_ns, data)
+                        yield StoredMessage(wanted[channel], time_ns, data)
 
-    def last_message(self, topic: str) -> Stored | None:
+    def last_message(self, topic: str) -> StoredMessage | None:
         """The last message of a topic."""
         wanted = self._channels([topic])
         with reading(self.path) as stream:
-            for index in reversed(self.found.chunks):
+            for index in reversed(self.index.chunks):
                 if not wanted.keys().isdisjoint(index.message_index_offsets):
                     *_, (channel, time_ns, data) = read_chunk(stream, index).messages(wanted)
-                    return Stored(wanted[channel], time_ns, data)
+                    return StoredMessage(wanted[channel], time_ns, data)
         return None
 
     def _channels(self, topics: Collection[str]) -> dict[int, str]:
-        channels = self.found.channels.items()
+        channels = self.index.channels.items()
         return {number: channel.topic for number, channel in channels if channel.topic in topics}
 
 
@@ -143,20 +141,27 @@ def reading(path: Path) -> Iterator[BinaryIO]:
 
 def _open_part(path: Path) -> PartFile:
     with reading(path) as stream:
-        found = survey(stream)
+        index = read_index(stream)
         try:
-            run = RunMetadata.from_text(read_metadata(stream, found)[layout.RUN_METADATA])
+            run = RunMetadata.from_text(read_metadata(stream, index)[layout.RUN_METADATA])
             parameters, start = (
-                read_attachment(stream, _index(found, name)).decode()
+                read_attachment(stream, _index(index, name))
                 for name in (layout.PARAMETERS_ATTACHMENT, layout.START_ATTACHMENT)
             )
-            state = json.loads(start)
-            int(state["sample"])
-            return PartFile(path, run, parameters, state, path.stat().st_size, found)
-        except (KeyError, RecursionError, TypeError, ValueError) as error:
+            text = parameters.decode()
+        except (KeyError, ValueError) as error:
             raise GearboxError(
                 f"'{path}' is no recording of this package, or its start is lost: {error}"
             ) from error
+        stored = _stored(start, f"{path.name}: {layout.START_ATTACHMENT}")
+        return PartFile(path, run, text, stored, path.stat().st_size, index)
+
+
+def _stored(content: bytes, name: str) -> StoredCheckpoint:
+    try:
+        return StoredCheckpoint.from_text(content.decode(), name)
+    except (UnicodeDecodeError, UsageError) as error:
+        raise GearboxError(str(error)) from error
 
 
 def _unbegun(path: Path) -> bool:
@@ -165,11 +170,11 @@ def _unbegun(path: Path) -> bool:
         begin = first_bytes(stream)
         if begin != MCAP0_MAGIC:
             return MCAP0_MAGIC.startswith(begin)
-        return not survey(stream).chunks
+        return not read_index(stream).chunks
 
 
-def _index(found: Survey, name: str) -> AttachmentIndex:
+def _index(index: FileIndex, name: str) -> AttachmentIndex:
     try:
-        return next(index for index in found.attachments if index.name == name)
+        return next(entry for entry in index.attachments if entry.name == name)
     except StopIteration:
         raise KeyError(name) from None

@@ -2,42 +2,29 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
+from gear_dynamics_ros.channels import IMPACTS
+from gear_dynamics_ros.chunk import Commands, Samples
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.messages import RowReader, applied_commands, deserialize, stamp_ns
-from gear_dynamics_ros.parameters import Parameters, parse
+from gear_dynamics_ros.events import OperatorEvent
+from gear_dynamics_ros.messages.decoder import MessageDecoder
+from gear_dynamics_ros.parameters import Parameters, parse_parameters
 from gear_dynamics_ros.recording import layout
-from gear_dynamics_ros.recording.history import TOLD, History
-from gear_dynamics_ros.recording.parts import PartFile, Stored, open_parts
-from gear_dynamics_ros.samples import Samples
-from gear_dynamics_ros.signals import IMPACTS, Commands
-from gear_dynamics_ros.topics import COMMAND_TOPICS, OF_A_CHUNK, TOPICS, resolve
+from gear_dynamics_ros.recording.parts import PartFile, StoredMessage, open_parts
+from gear_dynamics_ros.simulation.checkpoint import Checkpoint
+from gear_dynamics_ros.topics import TOPICS, resolve
 
 BLOCK_SAMPLES: Final = 20_000
-T = TypeVar("T")
-
-
-class Event(NamedTuple):
-    """Something that happened before ``sample`` was made."""
-
-    sample: int
-    time: float  # s, simulated
-    kind: str  # one of those in signals.py
-    message: str
-    counters: dict[str, int]  # signals.Counters then; empty in a recording that lacks them
-    parameters: Mapping[str, Any] = MappingProxyType({})  # by dotted name, that changed
-    checkpoint: Mapping[str, Any] = MappingProxyType({})  # of a restore
+IMPACT: Final = np.dtype([(entry.name, "<f8") for entry in IMPACTS])  # one bearing contact
 
 
 class TopicCount(NamedTuple):
@@ -48,14 +35,6 @@ class TopicCount(NamedTuple):
     messages: int
 
 
-class RecordedChunk(NamedTuple):
-    """What a chunk made, as it was recorded."""
-
-    first: int  # sample
-    samples: int
-    messages: Mapping[str, memoryview]  # CDR by key in TOPICS
-
-
 class Recording:
     """A recording, folder or single MCAP file; ``open`` makes it.
 
@@ -64,12 +43,15 @@ class Recording:
     """
 
     def __init__(self, path: Path, parts: tuple[PartFile, ...], parameters: Parameters) -> None:
+        """Read where the waveform begins and ends. Raises GearboxError where that is spoilt."""
         self.path = path
         self.parts = parts
         self.parameters = parameters
         self.run = parts[0].run
-        self._names = {key: resolve(topic, self.run.node) for key, topic in TOPICS.items()}
-        self._span: tuple[int, int] | None = None
+        self.names = {
+            key: resolve(topic, self.run.node) for key, topic in TOPICS.items()
+        }  # of topics, in full
+        self.first_sample, self.end_sample = self._find_samples()  # of the waveform: to before the last
 
     @property
     def epoch_ns(self) -> int:
@@ -97,9 +79,9 @@ class Recording:
         return self.run.sample_interval_ns
 
     @property
-    def start(self) -> dict[str, Any]:
+    def start(self) -> Checkpoint:
         """Checkpoint from which the recording starts."""
-        return self.parts[0].start
+        return self.parts[0].start.checkpoint
 
     @property
     def complete(self) -> bool:
@@ -117,10 +99,10 @@ class Recording:
         """The topics recorded, with their message counts."""
         counts: Counter[str] = Counter()
         for part in self.parts:
-            counts.update(part.found.topic_counts())
+            counts.update(part.index.topic_counts())
         return [
             TopicCount(name, TOPICS[key].type, counts[name])
-            for key, name in self._names.items()
+            for key, name in self.names.items()
             if name in counts
         ]
 
@@ -128,7 +110,7 @@ class Recording:
     def recorded(self) -> frozenset[str]:
         """Keys in TOPICS of what was recorded."""
         names = {topic.name for topic in self.topics}
-        return frozenset(key for key, name in self._names.items() if name in names)
+        return frozenset(key for key, name in self.names.items() if name in names)
 
     @property
     def channel_names(self) -> tuple[str, ...]:
@@ -136,37 +118,34 @@ class Recording:
         return tuple(self.parameters.waveform_channels)
 
     @property
-    def first_sample(self) -> int:
-        """Index of the first sample of the waveform."""
-        return self._sample_span()[0]
-
-    @property
-    def end_sample(self) -> int:
-        """One past the index of the last sample of the waveform."""
-        return self._sample_span()[1]
-
-    @property
     def duration_ns(self) -> int:
         """Simulated time that the waveform covers."""
         return (self.end_sample - self.first_sample) * self.sample_interval_ns
 
-    @property
+    @cached_property
     def commands(self) -> list[tuple[int, Commands]]:
-        """Commands in force, each from its sample on."""
-        return [self._command(data) for data in self._latched("applied_command")]
+        """Commands in force, each from its sample on. Read from the files at first use, then kept."""
+        decoder = self.decoder()
+        found = [decoder.applied(*message) for message in self._latched("applied_command")]
+        return [(self.sample_of(applied.time_ns), applied.commands) for applied in found]
 
-    @property
-    def events(self) -> list[Event]:
-        """Events in their order."""
-        return [_event(data) for data in self._latched("event")]
+    @cached_property
+    def events(self) -> list[OperatorEvent]:
+        """Operator events in their order. Read from the files at first use, then kept."""
+        decoder = self.decoder()
+        return [decoder.event(*message) for message in self._latched("event")]
 
-    def waveform(self, first: int | None = None, last: int | None = None) -> NDArray[np.float64]:
-        """Samples ``first`` to before ``last``, shape (n, channels), as far as the recording holds them.
+    def decoder(self) -> MessageDecoder:
+        """Decoder of the messages, for one thread."""
+        return MessageDecoder(self.channel_names, self.parameters.joint_prefix)
+
+    def waveform(self, first: int | None = None, end: int | None = None) -> NDArray[np.float64]:
+        """Samples ``first`` to before ``end``, shape (n, channels), as far as the recording holds them.
 
         Raises GearboxError where samples are missing or doubled.
         """
         begin = self.first_sample if first is None else max(first, self.first_sample)
-        beyond = self.end_sample if last is None else min(last, self.end_sample)
+        beyond = self.end_sample if end is None else min(end, self.end_sample)
         return self._gather(begin, beyond, slice(None), len(self.channel_names))
 
     def window(
@@ -197,14 +176,14 @@ class Recording:
         return self.pieces(*self.clip(start, end), channels, rows)
 
     def pieces(
-        self, first: int, beyond: int, channels: Sequence[str] | None = None, rows: int = BLOCK_SAMPLES
+        self, first: int, end: int, channels: Sequence[str] | None = None, rows: int = BLOCK_SAMPLES
     ) -> Iterator[Samples]:
-        """``blocks`` of the samples ``first`` to before ``beyond``, which the recording must cover."""
+        """``blocks`` of the samples ``first`` to before ``end``, which the recording must cover."""
         names, columns = self.columns(channels)
         interval = self.parameters.solver.sample_interval
         waiting: list[NDArray[np.float64]] = []
         held = 0
-        for _, samples in self.chunks(first, beyond) if first < beyond else ():
+        for _, samples in self.chunks(first, end) if first < end else ():
             waiting.append(samples[:, columns])
             held += len(samples)
             if held >= rows:
@@ -213,13 +192,13 @@ class Recording:
         if waiting:
             yield Samples(first, interval, names, np.concatenate(waiting))
 
-    def impacts(self, start: float | None = None, end: float | None = None) -> NDArray[np.float64]:
-        """Bearing contacts that ended at times in [start, end): shape (n, 6), columns signals.IMPACTS."""
-        found = [np.empty((0, len(IMPACTS)))]
+    def impacts(self, start: float | None = None, end: float | None = None) -> NDArray[np.void]:
+        """Bearing contacts that ended at times in [start, end): structured (n,), fields as IMPACTS."""
+        low, high = -math.inf if start is None else start, math.inf if end is None else end
+        found = [np.empty(0, IMPACT)]
         for _, rows in self.rows("impacts"):
-            ends = rows[:, 1]
-            low, high = -math.inf if start is None else start, math.inf if end is None else end
-            found.append(rows[(ends >= low) & (ends < high)])
+            impacts = np.ascontiguousarray(rows).view(IMPACT)[:, 0]
+            found.append(impacts[(impacts["end"] >= low) & (impacts["end"] < high)])
         return np.concatenate(found)
 
     def chunks(
@@ -230,9 +209,9 @@ class Recording:
         Raises GearboxError where samples are missing or doubled.
         """
         expected: int | None = None
-        from_ns = None if first is None else self.time_ns(first)
+        from_ns = None if first is None else self.stamp_of(first)
         for time_ns, samples in self._waveform(from_ns):
-            begin = self.sample(time_ns) - len(samples) + 1
+            begin = self.sample_of(time_ns) - len(samples) + 1
             if expected is not None and begin != expected:
                 raise GearboxError(f"{self.path}: sample {expected} should follow, but sample {begin} does")
             expected = begin + len(samples)
@@ -243,59 +222,55 @@ class Recording:
             if end is not None and end <= expected < self.end_sample:
                 return
 
-    def recorded_chunks(self, number: int, first: int, end: int | None) -> Iterator[RecordedChunk]:
-        """The chunks of part ``number`` that begin at samples in [first, end).
-
-        Raises GearboxError where messages are not together as a chunk makes them.
-        """
-        keys = {self._names[key]: key for key in OF_A_CHUNK}
-        read = RowReader()
-        gathered: dict[str, Stored] = {}
-        from_ns = self.time_ns(first)
-        for message in self.parts[number].messages(keys, from_ns):
-            if keys[message.topic] in gathered:
-                raise GearboxError(f"{self.path}: two messages of one chunk stand on {message.topic}")
-            gathered[keys[message.topic]] = message
-            if keys[message.topic] != "waveform":
-                continue
-            times = {stored.time_ns for stored in gathered.values()}
-            if len(times) > 1:
-                raise GearboxError(f"{self.path}: messages of one chunk bear the times {sorted(times)} ns")
-            samples = len(read.read(message.data)[1])
-            begin = self.sample(message.time_ns) - samples + 1
-            if end is not None and begin >= end:
-                return
-            yield RecordedChunk(begin, samples, {key: stored.data for key, stored in gathered.items()})
-            gathered = {}
-
     def rows(self, topic: str) -> Iterator[tuple[int, NDArray[np.float64]]]:
-        """Time in ns and rows of each message of a topic of arrays (key in TOPICS)."""
-        read = RowReader()
+        """Stamp in ns and rows of each message of a topic of arrays (key in TOPICS)."""
+        decoder = self.decoder()
         for message in self._messages(topic):
-            yield message.time_ns, read.read(message.data)[1]
+            yield message.time_ns, decoder.rows(topic, message.time_ns, message.data)
 
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
-        """Time in ns and decoded message of each message of ``topic`` (key in TOPICS)."""
+        """Stamp in ns and decoded message of each message of ``topic`` (key in TOPICS)."""
+        decoder = self.decoder()
         for message in self._messages(topic):
-            yield message.time_ns, deserialize(TOPICS[topic].type, message.data)
+            yield message.time_ns, decoder.message(topic, message.time_ns, message.data)
 
-    def sample(self, time_ns: int) -> int:
+    def sample_of(self, time_ns: int) -> int:
         """Index of the sample with the stamp ``time_ns``. Raises GearboxError if there can be none."""
         sample, rest = divmod(time_ns - self.epoch_ns, self.sample_interval_ns)
         if rest:
             raise GearboxError(f"{self.path}: the time {time_ns} ns is that of no sample")
         return sample
 
+    def stamp_of(self, sample: int) -> int:
+        """Stamp of a sample in ns."""
+        return self.epoch_ns + sample * self.sample_interval_ns
+
+    def require_window(self, start: float | None, end: float | None) -> tuple[int, int]:
+        """As ``clip``. Raises UsageError besides where the window that was asked for holds no sample."""
+        first, beyond = self.clip(start, end)
+        if first < beyond or (start is None and end is None):
+            return first, beyond
+        if start is not None and end is not None and start >= end:
+            raise UsageError(f"from {start:.9g} s to {end:.9g} s is empty: let it end after it starts")
+        interval = self.parameters.solver.sample_interval
+        asked = " ".join(
+            f"{word} {time:.9g} s" for word, time in (("from", start), ("to", end)) if time is not None
+        )
+        raise UsageError(
+            f"{self.path} has no sample {asked}: "
+            f"take from {self.first_sample * interval:.9g} s to {self.end_sample * interval:.9g} s"
+        )
+
     def clip(self, start: float | None, end: float | None) -> tuple[int, int]:
         """The samples [first, beyond) at times in [start, end), as far as there are any.
 
         Raises UsageError on a time that is not finite.
         """
-        first = self.first_sample if start is None else max(self.at(start), self.first_sample)
-        beyond = self.end_sample if end is None else min(self.at(end), self.end_sample)
+        first = self.first_sample if start is None else max(self.sample_at(start), self.first_sample)
+        beyond = self.end_sample if end is None else min(self.sample_at(end), self.end_sample)
         return first, max(first, beyond)
 
-    def at(self, time: float) -> int:
+    def sample_at(self, time: float) -> int:
         """Index of the first sample at or after ``time`` s. Raises UsageError if it is not finite."""
         if not math.isfinite(time):
             raise UsageError(f"the time {time} s is not finite: give a number of seconds")
@@ -315,93 +290,6 @@ class Recording:
                 raise UsageError(f"there is no channel '{name}' in {self.path}: it has {', '.join(known)}")
         return tuple(channels), [known.index(name) for name in channels]
 
-    def actions(self, number: int, told: Sequence[Stored]) -> list[tuple[int, Event | Commands]]:
-        """What acted on the model in part ``number``, of which all is ``told``, by sample and in order."""
-        events = (_event(data) for data in self._unlike_before(number, "event", told))
-        commands = (self._command(data) for data in self._unlike_before(number, "applied_command", told))
-        # Commands act with the first sample of a chunk, after what happened before it.
-        actions: list[tuple[int, Event | Commands]] = [
-            *self._within(number, ((event.sample, event) for event in events)),
-            *self._within(number, commands),
-        ]
-        return sorted(actions, key=lambda action: action[0])
-
-    def unrepeated(self, number: int) -> str:
-        """Key in TOPICS of what part ``number`` should repeat at its start, and does not; empty if none."""
-        part, before = self.parts[number], self.parts[number - 1]
-        for key, topic in TOPICS.items():
-            last = before.last_message(self._names[key]) if topic.latched else None
-            first = next(part.messages([self._names[key]]), None) if last is not None else None
-            if last is not None and (first is None or first.data != last.data):
-                return key
-        return ""
-
-    def lacking(self, number: int) -> list[str]:
-        """Keys in TOPICS of what should be recorded in part ``number``, and has no channel there."""
-        part = self.parts[number]
-        names = {channel.topic for channel in part.found.channels.values()}
-        wanted = layout.recorded_topics(parse(part.parameters), self.node)
-        return [key for key, (name, _) in wanted.items() if name not in names]
-
-    @property
-    def lost_files(self) -> list[str]:
-        """Names of the files that metadata.yaml lists and that are no part: missing, or without a start."""
-        path = self.path / layout.METADATA_FILE
-        if not path.is_file():
-            return []
-        try:
-            listed = yaml.safe_load(path.read_text(encoding="utf-8"))[layout.INFORMATION][layout.FILES]
-            return sorted({str(name) for name in listed} - {part.path.name for part in self.parts})
-        except (KeyError, OSError, TypeError, ValueError, yaml.YAMLError) as error:
-            raise GearboxError(f"{path} is spoilt: {' '.join(repr(error).split()):.200}") from error
-
-    def told(self, number: int) -> list[Stored]:
-        """What no chunk made of part ``number``, in the order of the file, in memory."""
-        found = self.parts[number].messages([self._names[key] for key in TOLD])
-        # Of their own, or each would keep the whole chunk that it stands in.
-        return [message._replace(data=memoryview(bytes(message.data))) for message in found]
-
-    def received(self, told: Iterable[Stored]) -> list[tuple[int, str, Any]]:
-        """Commands as they came, among ``told``: sample from which they acted, key in TOPICS, message."""
-        keys = {self._names[key]: key for key in COMMAND_TOPICS}
-        return [
-            (self.sample(stored.time_ns), keys[stored.topic], _decoded(keys[stored.topic], stored.data))
-            for stored in told
-            if stored.topic in keys
-        ]
-
-    def history(self, number: int, opening: Sequence[str], told: Iterable[Stored]) -> str:
-        """Digest of ``told``, a stretch of part ``number``, which the state at its end must carry.
-
-        ``opening`` names the attachments from which that stretch begins.
-        """
-        part = self.parts[number]
-        contents = [part.attachment(name) for name in opening]
-        found = History(*([part.run.to_lines()] if layout.START_ATTACHMENT in opening else []), *contents)
-        for message in told:
-            found.add(*message)
-        return found.text()
-
-    def count(self, topics: Iterable[str]) -> int:
-        """Messages on topics (keys in TOPICS)."""
-        names = {self._names[key] for key in topics}
-        return sum(topic.messages for topic in self.topics if topic.name in names)
-
-    def time_ns(self, sample: int) -> int:
-        """Stamp of a sample."""
-        return self.epoch_ns + sample * self.sample_interval_ns
-
-    def _within(self, number: int, found: Iterable[tuple[int, T]]) -> Iterator[tuple[int, T]]:
-        """What is of part ``number``: all but a message of before, with which it may begin."""
-        first = self.parts[number].first_sample
-        for position, (sample, action) in enumerate(found):
-            if sample >= first:
-                yield sample, action
-            elif position:
-                raise GearboxError(
-                    f"{self.parts[number].path}: it starts at sample {first} but holds what acted at {sample}"
-                )
-
     def _gather(self, first: int, beyond: int, columns: list[int] | slice, width: int) -> NDArray[np.float64]:
         rows = np.empty((max(beyond - first, 0), width))
         if len(rows):
@@ -409,55 +297,42 @@ class Recording:
                 rows[at - first : at - first + len(samples)] = samples[:, columns]
         return rows
 
-    def _waveform(self, from_ns: int | None) -> Iterator[tuple[int, NDArray[np.float64]]]:
-        read = RowReader()
-        for message in self._messages("waveform", from_ns):
-            names, samples = read.read(message.data)
-            if names != self.channel_names:
-                raise GearboxError(
-                    f"{self.path}: the waveform's channels differ from waveform_channels: {names}"
-                )
-            yield message.time_ns, samples
+    def without_repeated(
+        self, number: int, topic: str, messages: Iterable[StoredMessage]
+    ) -> Iterator[StoredMessage]:
+        """Those of ``messages`` of part ``number`` that are on a latched topic (key in TOPICS).
 
-    def _messages(self, topic: str, from_ns: int | None = None) -> Iterator[Stored]:
-        for part in self.parts:
-            yield from part.messages([self._names[topic]], from_ns)
-
-    def _latched(self, topic: str) -> Iterator[bytes]:
-        for number, part in enumerate(self.parts):
-            yield from self._unlike_before(number, topic, part.messages([self._names[topic]]))
-
-    def _unlike_before(self, number: int, topic: str, messages: Iterable[Stored]) -> Iterator[bytes]:
-        """Those of a latched topic in a part, without the last of the part before, which it repeats."""
-        name = self._names[topic]
+        Without the last of the part before, which each part repeats at its start.
+        """
+        name = self.names[topic]
         before = self.parts[number - 1].last_message(name) if number else None
         own = (message for message in messages if message.topic == name)
         for position, message in enumerate(own):
             if position or before is None or message.data != before.data:
-                yield bytes(message.data)
+                yield message
 
-    def _command(self, data: bytes) -> tuple[int, Commands]:
-        message = deserialize(TOPICS["applied_command"].type, data)
-        return self.sample(stamp_ns(message.header.stamp)), applied_commands(message)
+    def _waveform(self, from_ns: int | None) -> Iterator[tuple[int, NDArray[np.float64]]]:
+        decoder = self.decoder()
+        for message in self._messages("waveform", from_ns):
+            yield message.time_ns, decoder.rows("waveform", message.time_ns, message.data)
 
-    def _sample_span(self) -> tuple[int, int]:
-        if self._span is None:
-            self._span = self._find_span()
-        return self._span
+    def _messages(self, topic: str, from_ns: int | None = None) -> Iterator[StoredMessage]:
+        for part in self.parts:
+            yield from part.messages([self.names[topic]], from_ns)
 
-    def _find_span(self) -> tuple[int, int]:
+    def _latched(self, topic: str) -> Iterator[tuple[int, memoryview]]:
+        for number, part in enumerate(self.parts):
+            for message in self.without_repeated(number, topic, part.messages([self.names[topic]])):
+                yield message.time_ns, message.data
+
+    def _find_samples(self) -> tuple[int, int]:
         earliest = next(self._waveform(None), None)
         if earliest is None:
-            sample = int(self.start["sample"])
-            return sample, sample
+            return self.start.sample, self.start.sample
         time_ns, samples = earliest
-        last_ns = time_ns
-        for part in reversed(self.parts):
-            found = part.last_message(self._names["waveform"])
-            if found is not None:
-                last_ns = found.time_ns
-                break
-        return self.sample(time_ns) - len(samples) + 1, self.sample(last_ns) + 1
+        found = (part.last_message(self.names["waveform"]) for part in reversed(self.parts))
+        last_ns = next((message.time_ns for message in found if message is not None), time_ns)
+        return self.sample_of(time_ns) - len(samples) + 1, self.sample_of(last_ns) + 1
 
 
 def open(path: str | Path) -> Recording:
@@ -468,29 +343,6 @@ def open(path: str | Path) -> Recording:
     path = Path(path)
     parts = open_parts(path)
     try:
-        return Recording(path, parts, parse(parts[0].parameters))
+        return Recording(path, parts, parse_parameters(parts[0].parameters))
     except UsageError as error:
         raise GearboxError(f"{parts[0].path}: {layout.PARAMETERS_ATTACHMENT}: {error}") from error
-
-
-def _decoded(topic: str, data: memoryview) -> Any:
-    try:
-        return deserialize(TOPICS[topic].type, data)
-    except Exception as error:  # rosbags has no common class for what it finds wrong with bytes
-        raise GearboxError(f"a message on {TOPICS[topic].name} is spoilt: {error!r}") from error
-
-
-def _event(data: bytes) -> Event:
-    try:
-        entry = json.loads(deserialize(TOPICS["event"].type, data).data)
-        return Event(
-            sample=entry["sample"],
-            time=entry["time"],
-            kind=entry["event"],
-            message=entry["message"],
-            counters=entry.get("counters", {}),
-            parameters=entry.get("parameters", {}),
-            checkpoint=entry.get("checkpoint", {}),
-        )
-    except Exception as error:  # rosbags has no common class for what it finds wrong with bytes
-        raise GearboxError(f"an event is spoilt: {error!r}") from error

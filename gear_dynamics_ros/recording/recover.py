@@ -6,12 +6,10 @@ The broken one is only read.
 from __future__ import annotations
 
 import itertools
-import json
 import os
-import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
@@ -22,26 +20,29 @@ from mcap.writer import MCAP0_MAGIC
 
 from gear_dynamics_ros import __version__
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.files import replace_text, sync_folder
-from gear_dynamics_ros.messages import TYPESTORE, RowReader
+from gear_dynamics_ros.messages.cdr import TYPESTORE
+from gear_dynamics_ros.messages.decoder import row_count
 from gear_dynamics_ros.recording import layout
-from gear_dynamics_ros.recording.layout import Definitions, Part, RunMetadata
-from gear_dynamics_ros.recording.mcap_writer import McapWriter
+from gear_dynamics_ros.recording.layout import Definitions, PartSummary, RunMetadata
+from gear_dynamics_ros.recording.mcap.index import read_summary
+from gear_dynamics_ros.recording.mcap.records import ChunkContent, FoundRecord, first_bytes, walk
+from gear_dynamics_ros.recording.mcap.writer import McapWriter
 from gear_dynamics_ros.recording.parts import part_files, reading
-from gear_dynamics_ros.recording.survey import Content, Piece, first_bytes, read_summary, walk
+from gear_dynamics_ros.simulation.checkpoint import StoredCheckpoint
+from gear_dynamics_ros.system.files import new_folder, replace_text, require_new
 from gear_dynamics_ros.topics import TOPICS, Topic, resolve
 
 _LIBRARY: Final = f"{layout.RUN_METADATA} {__version__}"
 
 
-class Span(NamedTuple):
+class SampleRange(NamedTuple):
     """The samples from ``first`` to before ``end``."""
 
     first: int
     end: int
 
 
-class PartReport(NamedTuple):
+class RecoveredPart(NamedTuple):
     """What became of one file."""
 
     name: str  # of the broken file
@@ -51,7 +52,7 @@ class PartReport(NamedTuple):
     break_at: int  # byte behind its last whole record
     messages: int  # kept, on all topics
     samples: int  # kept
-    span: Span | None  # from the first to the last sample kept
+    span: SampleRange | None  # from the first to the last sample kept
     spoilt_chunks: int
     spoilt_attachments: int
     spoilt_metadata: int
@@ -67,14 +68,14 @@ class PartReport(NamedTuple):
         return self.ended and not (self.spoilt_chunks or self.spoilt_attachments or self.spoilt_metadata)
 
 
-class Report(NamedTuple):
+class Recovery(NamedTuple):
     """What a recovery kept and what is lost."""
 
     source: Path
     target: Path
-    parts: tuple[PartReport, ...]
+    parts: tuple[RecoveredPart, ...]
     left_out: Mapping[str, str]  # why, by name of the file
-    gaps: tuple[Span, ...]  # samples missing between those kept
+    gaps: tuple[SampleRange, ...]  # samples missing between those kept
     sample_interval_ns: int | None  # None where no file tells
     described: bool  # metadata.yaml was there, or was not due
 
@@ -94,10 +95,12 @@ class Report(NamedTuple):
         return sum(part.samples for part in self.parts)
 
     @property
-    def span(self) -> Span | None:
+    def span(self) -> SampleRange | None:
         """From the first to the last sample kept; None if there is none."""
         spans = [part.span for part in self.parts if part.span is not None]
-        return Span(min(span.first for span in spans), max(span.end for span in spans)) if spans else None
+        return (
+            SampleRange(min(span.first for span in spans), max(span.end for span in spans)) if spans else None
+        )
 
     @property
     def whole(self) -> bool:
@@ -112,7 +115,7 @@ def default_target(source: Path) -> Path:
     return path.with_name(f"{name}_recovered")
 
 
-def recover(source: Path, target: Path, progress: Callable[[float], None] = lambda share: None) -> Report:
+def recover(source: Path, target: Path, progress: Callable[[float], None] = lambda share: None) -> Recovery:
     """Make the new folder ``target`` of all that is whole in ``source``, a rosbag2 folder or one MCAP file.
 
     ``progress`` is called with the share of the work that is done, 0 to 1. Holds one record in memory at a
@@ -139,7 +142,7 @@ def recover(source: Path, target: Path, progress: Callable[[float], None] = lamb
     found, unbegun = _begun(found)
     left_out |= {part.path.name: "broke off before its start" for part in unbegun}
     track = _Track(next((part.run for part in found if part.run is not None), None))
-    with _draft(target) as draft:
+    with new_folder(target) as draft:
         rebuilt: list[_Rebuilt] = []
         for number, (part, name) in enumerate(zip(found, _names(found, target), strict=True)):
             stage = _stage(progress, len(files) + number, 2 * len(files))
@@ -148,7 +151,7 @@ def recover(source: Path, target: Path, progress: Callable[[float], None] = lamb
         metadata = layout.metadata_yaml(topics, [part.part for part in rebuilt])
         replace_text(draft / layout.METADATA_FILE, metadata)
     progress(1.0)
-    return Report(
+    return Recovery(
         source,
         target,
         tuple(part.report for part in rebuilt),
@@ -179,14 +182,14 @@ class _Source:
         """Whether it broke off before it told from which state it starts."""
         return self.first_sample is None and not self.chunks and not self.ended
 
-    def note(self, piece: Piece) -> None:
+    def note(self, record: FoundRecord) -> None:
         """Take in the next record. Raises GearboxError on a topic that this package doesn't know."""
-        content = piece.content
-        self.ended = self.ended or piece.opcode == Opcode.DATA_END
-        self.chunks += piece.opcode == Opcode.CHUNK
-        if not piece.fault:  # what is spoilt at the very end belongs to what broke off there
-            self.end = piece.offset + piece.length
-        if isinstance(content, Content):
+        content = record.content
+        self.ended = self.ended or record.opcode == Opcode.DATA_END
+        self.chunks += record.opcode == Opcode.CHUNK
+        if not record.fault:  # what is spoilt at the very end belongs to what broke off there
+            self.end = record.offset + record.length
+        if isinstance(content, ChunkContent):
             _require_known(self.path, content)
             _add(self.definitions, content.schemas, content.channels)
         elif isinstance(content, Header):
@@ -200,9 +203,9 @@ class _Source:
 class _Rebuilt(NamedTuple):
     """One file of the new recording."""
 
-    part: Part
+    part: PartSummary
     topics: dict[str, Topic]  # by full name
-    report: PartReport
+    report: RecoveredPart
 
 
 class _Track:
@@ -211,57 +214,53 @@ class _Track:
     def __init__(self, run: RunMetadata | None) -> None:
         self.run = run
         self.node = "/gearbox" if run is None else run.node
-        self.gaps: list[Span] = []
+        self.gaps: list[SampleRange] = []
         self.samples = 0  # of the part at hand
-        self.span: Span | None = None  # of the part at hand
+        self.span: SampleRange | None = None  # of the part at hand
         self._topic = resolve(TOPICS["waveform"], self.node)
-        self._read = RowReader()
         self._expected: int | None = None
 
     def begin(self, first_sample: int | None) -> None:
         """A part begins, with the sample that its start tells."""
         self.samples, self.span = 0, None
         if first_sample is not None:
-            self._reach(Span(first_sample, first_sample))
+            self._reach(SampleRange(first_sample, first_sample))
 
-    def follow(self, content: Content, channels: Mapping[int, Channel]) -> None:
+    def follow(self, content: ChunkContent, channels: Mapping[int, Channel]) -> None:
         """Take in the next chunk."""
         wanted = [number for number in content.positions if channels[number].topic == self._topic]
         for _, time_ns, data in content.messages(wanted):
             self._add(self._held(time_ns, data))
 
-    def _add(self, held: Span | None) -> None:
+    def _add(self, held: SampleRange | None) -> None:
         if held is None:
             return
         self._reach(held)
         self.samples += held.end - held.first
         known = held if self.span is None else self.span
-        self.span = Span(min(known.first, held.first), max(known.end, held.end))
+        self.span = SampleRange(min(known.first, held.first), max(known.end, held.end))
 
-    def _reach(self, held: Span) -> None:
+    def _reach(self, held: SampleRange) -> None:
         if self._expected is not None and held.first > self._expected:
-            self.gaps.append(Span(self._expected, held.first))
+            self.gaps.append(SampleRange(self._expected, held.first))
         self._expected = held.end if self._expected is None else max(held.end, self._expected)
 
-    def _held(self, time_ns: int, data: memoryview) -> Span | None:
+    def _held(self, time_ns: int, data: memoryview) -> SampleRange | None:
         """The samples of a message, stamped at its last; None if it can't be one of a run."""
         if self.run is None:
             return None
         try:
-            rows = len(self._read.read(data)[1])
+            rows = row_count(data)
         except GearboxError:  # a message that can't be understood is kept as it is, but holds no samples
             return None
         last, rest = divmod(time_ns - self.run.epoch_ns, self.run.sample_interval_ns)
-        return Span(last - rows + 1, last + 1) if rows and not rest else None
+        return SampleRange(last - rows + 1, last + 1) if rows and not rest else None
 
 
 def _require_place(source: Path, target: Path) -> None:
-    if os.path.lexists(target):
-        raise UsageError(
-            f"--output: '{target}' exists already and is not overwritten: choose another path or move it away"
-        )
+    require_new(target)
     if Path(os.path.realpath(target)).is_relative_to(os.path.realpath(source)):
-        raise UsageError(f"--output: '{target}' lies inside the recording itself: choose a path beside it")
+        raise UsageError(f"'{target}' lies inside the recording itself: choose a path beside it")
 
 
 def _stage(progress: Callable[[float], None], number: int, count: int) -> Callable[[float], None]:
@@ -278,13 +277,13 @@ def _inspect(path: Path, progress: Callable[[float], None]) -> _Source | None:
         summary = read_summary(stream)
         source = _Source(path, size, min(size, len(MCAP0_MAGIC)), summary is not None)
         outside = Definitions({}, {})
-        for piece in walk(stream, size):
-            source.note(piece)
-            if isinstance(piece.content, Schema):
-                _add(outside, {piece.content.id: piece.content}, {})
-            elif isinstance(piece.content, Channel):
-                _add(outside, {}, {piece.content.id: piece.content})
-            progress((piece.offset + piece.length) / size)
+        for record in walk(stream, size):
+            source.note(record)
+            if isinstance(record.content, Schema):
+                _add(outside, {record.content.id: record.content}, {})
+            elif isinstance(record.content, Channel):
+                _add(outside, {}, {record.content.id: record.content})
+            progress((record.offset + record.length) / size)
     # Those inside chunks have a checksum each, the summary has one, those that stand alone have none.
     for schemas, channels in ([] if summary is None else [(summary.schemas, summary.channels)]) + [outside]:
         _add(source.definitions, schemas, channels)
@@ -329,7 +328,7 @@ def _usable(found: Definitions) -> Definitions:
     return Definitions(found.schemas, channels)
 
 
-def _require_known(path: Path, content: Content) -> None:
+def _require_known(path: Path, content: ChunkContent) -> None:
     for channel in content.channels.values():
         schema = content.schemas.get(channel.schema_id)
         if schema is not None and schema.name not in TYPESTORE.fielddefs:
@@ -348,10 +347,9 @@ def _run(values: Mapping[str, str]) -> RunMetadata | None:
 
 def _first_sample(start: bytes) -> int | None:
     try:
-        sample = json.loads(start)["sample"]
-    except (KeyError, TypeError, ValueError, RecursionError):
+        return StoredCheckpoint.from_text(start.decode(), layout.START_ATTACHMENT).checkpoint.sample
+    except (UnicodeDecodeError, UsageError):
         return None
-    return sample if isinstance(sample, int) else None
 
 
 def _names(found: Sequence[_Source], target: Path) -> list[str]:
@@ -380,10 +378,10 @@ def _rebuild(
     track.begin(source.first_sample)
     with reading(source.path) as stream, closing(McapWriter(path, _LIBRARY)) as writer:
         _define(writer, definitions, track.node)
-        for piece in _data(stream, source.end):
-            progress((piece.offset + piece.length) / source.size)
-            content = piece.content
-            if isinstance(content, Content) and _readable(content, definitions.channels):
+        for record in _data(stream, source.end):
+            progress((record.offset + record.length) / source.size)
+            content = record.content
+            if isinstance(content, ChunkContent) and _readable(content, definitions.channels):
                 _copy_chunk(writer, content)
                 track.follow(content, definitions.channels)
             elif isinstance(content, Attachment):
@@ -391,13 +389,13 @@ def _rebuild(
             elif isinstance(content, Metadata):
                 _copy_metadata(writer, content)
             else:
-                spoilt[piece.opcode] += 1
-        found = writer.survey
-        part = Part(path.name, found.start_ns, found.end_ns, found.topic_counts())
+                spoilt[record.opcode] += 1
+        found = writer.index
+        part = PartSummary(path.name, found.start_ns, found.end_ns, found.topic_counts())
         topics = _topics(found.schemas, found.channels, track.node)
         writer.add_metadata(layout.ROSBAG2_METADATA, layout.embedded_metadata(topics, part))
         writer.finish()
-    report = PartReport(
+    report = RecoveredPart(
         name=source.path.name,
         size=source.size,
         finished=source.finished,
@@ -413,24 +411,24 @@ def _rebuild(
     return _Rebuilt(part, topics, report)
 
 
-def _data(stream: BinaryIO, end: int) -> Iterator[Piece]:
+def _data(stream: BinaryIO, end: int) -> Iterator[FoundRecord]:
     """The records of data before byte ``end``."""
-    return itertools.takewhile(lambda piece: piece.opcode != Opcode.DATA_END, walk(stream, end))
+    return itertools.takewhile(lambda record: record.opcode != Opcode.DATA_END, walk(stream, end))
 
 
 def _define(writer: McapWriter, found: Definitions, node: str) -> None:
     """Schemas and channels, before the first chunk; those of an empty recording where none are known."""
     if not found.channels:
-        found = layout.definitions((resolve(topic, node), topic) for topic in TOPICS.values())
+        found = layout.channel_definitions((resolve(topic, node), topic) for topic in TOPICS.values())
     writer.add_definitions(*found)
 
 
-def _readable(content: Content, channels: Mapping[int, Channel]) -> bool:
+def _readable(content: ChunkContent, channels: Mapping[int, Channel]) -> bool:
     """Whether all channels of a chunk are known."""
     return content.positions.keys() | content.channels.keys() <= channels.keys()
 
 
-def _copy_chunk(writer: McapWriter, content: Content) -> None:
+def _copy_chunk(writer: McapWriter, content: ChunkContent) -> None:
     if not content.positions:
         return
     times = [time_ns for flat in content.positions.values() for time_ns in flat[::2]]
@@ -449,46 +447,6 @@ def _topics(schemas: Mapping[int, Schema], channels: Mapping[int, Channel], node
     """Topics by full name, with the quality of service of this version's, or the usual one."""
     known = {resolve(topic, node): topic for topic in TOPICS.values()}
     return {
-        channel.topic: known.get(
-            channel.topic, Topic(channel.topic, schemas[channel.schema_id].name, True, 10, False, "")
-        )
+        channel.topic: known.get(channel.topic, Topic(channel.topic, schemas[channel.schema_id].name, ""))
         for channel in channels.values()
     }
-
-
-@contextmanager
-def _draft(target: Path) -> Iterator[Path]:
-    """Folder that takes the name ``target`` once the work in it is done, and goes if that fails."""
-    draft = target.with_name(f"{target.name}.part")
-    _make_folder(draft, target)
-    try:
-        yield draft
-        sync_folder(draft)
-        if os.path.lexists(target):
-            raise UsageError(f"--output: '{target}' has come into being meanwhile: choose another path")
-        draft.rename(target)
-        sync_folder(target.parent)
-    except BaseException as error:
-        shutil.rmtree(draft, ignore_errors=True)  # what went wrong before tells more
-        if isinstance(error, OSError):
-            raise GearboxError(
-                f"can't write '{target}': {error.strerror}: free space or choose another --output"
-            ) from error
-        raise
-
-
-def _make_folder(draft: Path, target: Path) -> None:
-    try:
-        draft.mkdir()
-    except FileExistsError:
-        raise UsageError(
-            f"--output: '{draft}' is left of a recovery that broke off: remove it or choose another path"
-        ) from None
-    except FileNotFoundError:
-        raise UsageError(
-            f"--output: the folder '{target.parent}' does not exist: make it or choose another path"
-        ) from None
-    except OSError as error:
-        raise UsageError(
-            f"--output: can't make '{target}': {error.strerror}: choose a writable place"
-        ) from error

@@ -8,12 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from gear_dynamics_ros.engine import Engine
+from gear_dynamics_ros.chunk import Chunk
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.messages import Record
+from gear_dynamics_ros.messages.encoder import Record
 from gear_dynamics_ros.recording import layout
-from gear_dynamics_ros.recording.writer import Recorder, State
-from gear_dynamics_ros.signals import Chunk
+from gear_dynamics_ros.recording.recorder import Recorder
+from gear_dynamics_ros.simulation.checkpoint import Checkpoint
+from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.topics import TOPICS
 
 # The ring forgets a segment at a time: it holds at most an eighth more than it must.
@@ -24,37 +25,32 @@ AT_ONCE: Final = 100
 
 @dataclass(slots=True)
 class _Segment:
-    """Messages from a state on; ``latched`` are those of latched topics that came last before it."""
+    """Messages from a checkpoint on; ``latched`` are those of latched topics that came last before it."""
 
-    start: State
+    start: Checkpoint
     latched: Mapping[str, bytes]
     records: list[Record] = field(default_factory=list)
     size: int = 0  # bytes
-
-    @property
-    def sample(self) -> int:
-        return int(self.start.checkpoint["sample"])
 
 
 class Excerpt(NamedTuple):
     """A piece of a run, complete in itself."""
 
     segments: tuple[_Segment, ...]
-    end: State
+    end: Checkpoint
 
     def write(self, path: Path, epoch_ns: int, node: str) -> Path:
         """Make a recording of it. Raises GearboxError if it can't be written whole."""
         first = self.segments[0]
-        parameters = first.start.parameters
-        recorder = Recorder(path, parameters, first.start.checkpoint, epoch_ns, node)
-        time_ns = epoch_ns + first.sample * parameters.solver.sample_interval_ns
+        recorder = Recorder(path, first.start, epoch_ns, node)
+        time_ns = epoch_ns + first.start.sample * first.start.parameters.solver.sample_interval_ns
         recorder.write([Record(key, time_ns, data) for key, data in first.latched.items()])
         for segment in self.segments:
             if segment is not first:
-                recorder.checkpoint(*segment.start)
+                recorder.checkpoint(segment.start)
             for begin in range(0, len(segment.records), AT_ONCE):
                 recorder.write(segment.records[begin : begin + AT_ONCE])
-        recorder.conclude(*self.end)
+        recorder.conclude(self.end)
         recorder.close()
         if recorder.error is not None:
             raise GearboxError(recorder.error)
@@ -76,7 +72,7 @@ class Ring:
     @property
     def samples(self) -> int:
         """Samples that the ring holds."""
-        return self._engine.sample - self._segments[0].sample
+        return self._samples_since(self._segments[0])
 
     @property
     def size(self) -> int:
@@ -92,9 +88,11 @@ class Ring:
         for record in wanted:
             if TOPICS[record.topic].latched:
                 self._latched[record.topic] = record.data
-        if chunk is not None and (self._engine.sample - segment.sample) * SEGMENTS >= self._samples:
+        if chunk is not None and (self._engine.sample - segment.start.sample) * SEGMENTS >= self._samples:
             self._begin_segment()
-        while len(self._segments) > 1 and self._engine.sample - self._segments[1].sample >= self._samples:
+        while (
+            len(self._segments) > 1 and self._engine.sample - self._segments[1].start.sample >= self._samples
+        ):
             self._segments.popleft()
 
     def close(self) -> None:
@@ -104,10 +102,12 @@ class Ring:
     def cut(self) -> Excerpt:
         """All that the ring holds now; it goes on."""
         *earlier, last = self._segments
-        return Excerpt((*earlier, _Segment(last.start, last.latched, list(last.records))), self._state())
+        return Excerpt(
+            (*earlier, _Segment(last.start, last.latched, list(last.records))), self._engine.checkpoint()
+        )
 
     def _begin_segment(self) -> None:
-        self._segments.append(_Segment(self._state(), dict(self._latched)))
+        self._segments.append(_Segment(self._engine.checkpoint(), dict(self._latched)))
 
-    def _state(self) -> State:
-        return State(self._engine.checkpoint(), self._engine.parameters)
+    def _samples_since(self, segment: _Segment) -> int:
+        return self._engine.sample - segment.start.sample

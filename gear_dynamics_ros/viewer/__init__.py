@@ -1,4 +1,4 @@
-"""Chunks into Rerun, live or into an .rrd file; Rerun itself is imported only once a viewer is opened."""
+"""Shows chunks in Rerun, live or in an .rrd file. Rerun is imported only when a viewer is opened."""
 
 from __future__ import annotations
 
@@ -9,5 +9,5 @@ __all__ = ["Viewer", "open_viewer"]
 
 
 def open_viewer(parameters: Parameters) -> Viewer | None:
-    """The viewer that ``rerun.mode`` asks for, None for ``none``; raises what ``Viewer`` raises."""
+    """The viewer for ``rerun.mode``, None for ``none``. Raises UsageError as ``Viewer`` does."""
     return None if parameters.rerun.mode == "none" else Viewer(parameters)

@@ -1,4 +1,4 @@
-"""What the viewer shows on opening: which entity stands in which view. No data here."""
+"""The viewer's layout: which entity is shown in which view. No data."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ STROBE_BOTTOM: Final = -0.4
 ORBIT_MARGIN: Final = 1.45
 
 
-def orbit(journal: str) -> str:
-    """Entity of one journal's orbit."""
+def orbit_entity(journal: str) -> str:
+    """Name of the entity of one journal's orbit."""
     return f"orbit/{journal}"
 
 
-def time_series(views: dict[str, str], legend: bool) -> rrb.Container:
-    """Views stacked, each with its own value axis; the legend matters where a view has several curves."""
+def time_series_views(views: dict[str, str], legend: bool) -> rrb.Container:
+    """``views`` (entity by title) on top of each other, each with its own value axis."""
     return rrb.Vertical(
         *(
             rrb.TimeSeriesView(
@@ -51,8 +51,11 @@ def time_series(views: dict[str, str], legend: bool) -> rrb.Container:
     )
 
 
-def plane(name: str, origin: str, x: tuple[float, float], y: tuple[float, float]) -> rrb.Spatial2DView:
-    """View of a plane whose y points up (Rerun's own points down, so the data comes with y negated)."""
+def plane_view(name: str, origin: str, x: tuple[float, float], y: tuple[float, float]) -> rrb.Spatial2DView:
+    """View of a plane in the ranges ``x`` and ``y`` with y upward.
+
+    Rerun's y axis points down, so the data must have y negated.
+    """
     return rrb.Spatial2DView(
         name=name,
         origin=origin,
@@ -62,22 +65,24 @@ def plane(name: str, origin: str, x: tuple[float, float], y: tuple[float, float]
 
 
 def orbit_view(journal: str, clearance: float) -> rrb.Spatial2DView:
-    """Journal orbit in um; ``clearance`` is the bearing's radial one in um."""
+    """View of a journal's orbit in um; ``clearance`` is the bearing's radial clearance in um."""
     half = ORBIT_MARGIN * clearance
-    return plane(f"Journal orbit, {journal} gear (µm)", orbit(journal), (-half, half), (-half, half))
+    return plane_view(
+        f"Journal orbit, {journal} gear (µm)", orbit_entity(journal), (-half, half), (-half, half)
+    )
 
 
 def layout(clearances: dict[str, float]) -> rrb.Blueprint:
-    """The whole window; ``clearances`` in um by journal."""
+    """The whole window; ``clearances`` are the bearings' radial clearances in um by journal."""
     across, up = PORTRAIT_HALF_SIZE
     return rrb.Blueprint(
         rrb.Horizontal(
-            time_series(MESH_VIEWS, legend=False),
-            time_series(SHAFT_VIEWS, legend=True),
+            time_series_views(MESH_VIEWS, legend=False),
+            time_series_views(SHAFT_VIEWS, legend=True),
             rrb.Grid(
                 *(orbit_view(journal, clearances[journal]) for journal in JOURNALS),
-                plane("Phase portrait (normalised)", PHASE_PORTRAIT, (-across, across), (-up, up)),
-                plane(
+                plane_view("Phase portrait (normalised)", PHASE_PORTRAIT, (-across, across), (-up, up)),
+                plane_view(
                     "DTE over one mesh period (normalised)",
                     STROBE,
                     (-0.5, STROBE_SIZE[0] + 0.2),

@@ -1,4 +1,4 @@
-"""Fewer points of a waveform, with every peak kept."""
+"""Reduces the points of a curve and keeps every peak."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def extremes(values: NDArray[np.float64], width: int) -> NDArray[np.intp]:
-    """Ascending indices of the lowest and highest of every ``width`` consecutive ``values``, shape (n,).
+def extreme_indices(values: NDArray[np.float64], width: int) -> NDArray[np.intp]:
+    """Ascending indices of the minimum and maximum of every ``width`` consecutive ``values``, shape (n,).
 
-    A last block that is shorter counts as a block; a constant block gives one index. Not-a-number values
-    count as extremes, so that they show.
+    The last block may be shorter; a constant block gives one index. NaN count as extremes, so that they are
+    shown.
     """
     whole = len(values) // width * width
     blocks = values[:whole].reshape(-1, width)

@@ -1,4 +1,4 @@
-"""The viewer's thread and queue: the engine hands chunks over and never waits."""
+"""The viewer's thread and queue: the engine hands chunks over without waiting."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from gear_dynamics_ros.chunk import Chunk
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.signals import Chunk
-from gear_dynamics_ros.threads import name_thread
+from gear_dynamics_ros.system.threads import name_thread
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from gear_dynamics_ros.viewer.scene import Scene
 
 APPLICATION: Final = "gear_dynamics_ros"
-QUEUE_SPAN: Final = 1.0  # s of simulated time that may wait
+QUEUE_SPAN: Final = 1.0  # s of simulated time that the queue holds
 BATCH_SPAN: Final = 0.25  # s of simulated time drawn at once
-IDLE: Final = 0.5  # s of wall time after which less is drawn
+IDLE: Final = 0.5  # s of wall time after which a smaller batch is drawn
 FLUSH_INTERVAL: Final = 1.0  # s of wall time
 FLUSH_TIMEOUT: Final = 5.0
 CLOSE_TIMEOUT: Final = 20.0
@@ -32,11 +32,10 @@ CLOSE_TIMEOUT: Final = 20.0
 class Viewer:
     """Sends chunks to Rerun from a thread of its own.
 
-    Modes (``rerun.mode``): ``save`` writes a new .rrd file, ``serve`` listens on 127.0.0.1, ``connect`` feeds
-    a viewer that runs at ``rerun.url`` as soon as it answers. Raises UsageError if Rerun isn't installed, the
-    file exists or can't be made, the port is taken, or the URL is none. ``write`` never waits: what finds the
-    queue full, or no viewer to connect to, is dropped and counted. What is drawn, and how finely:
-    ``viewer.scene``.
+    Modes (``rerun.mode``): ``save`` writes a new .rrd file, ``serve`` listens on 127.0.0.1, ``connect`` sends
+    to the viewer at ``rerun.url`` as soon as it answers. Raises UsageError if Rerun isn't installed, the file
+    exists or can't be made, the port is taken, or the URL has no host and port. ``write`` never waits: chunks
+    are dropped and counted while the queue is full or no viewer answers. ``viewer.scene`` says what is drawn.
     """
 
     def __init__(self, parameters: Parameters) -> None:
@@ -56,11 +55,11 @@ class Viewer:
         elif parameters.rerun.mode == "serve":
             self._sink = sinks.server_sink(parameters.rerun.port)
         elif parameters.rerun.mode == "connect":
-            self._address = sinks.address(parameters.rerun.url)
+            self._address = sinks.viewer_address(parameters.rerun.url)
             self._sink = rr.GrpcSink(parameters.rerun.url)
         else:
             raise UsageError(f"rerun.mode {parameters.rerun.mode!r} shows nothing: use save, serve, connect")
-        self._answers = sinks.answers
+        self._is_listening = sinks.is_listening
         self._stream = rr.RecordingStream(APPLICATION)
         self._scene: Scene = scene.Scene(self._stream, parameters)
         self._limit = round(QUEUE_SPAN / parameters.solver.sample_interval)
@@ -76,12 +75,12 @@ class Viewer:
 
     @property
     def dropped(self) -> int:
-        """Chunks that were not shown."""
+        """Number of chunks that were not shown."""
         return self._dropped
 
     @property
     def queued(self) -> int:
-        """Samples waiting to be drawn."""
+        """Number of samples waiting to be drawn."""
         return self._waiting_samples
 
     @property
@@ -101,7 +100,7 @@ class Viewer:
             self._changed.notify()
 
     def close(self) -> None:
-        """Draw what waits, flush, and end the thread; may be called again."""
+        """Draw what is queued, flush, and end the thread; may be called again."""
         with self._changed:
             self._closing = True
             self._changed.notify()
@@ -112,18 +111,18 @@ class Viewer:
         try:
             if self._open():
                 self._show()
-        except Exception as error:  # the gearbox runs on without pictures, whatever Rerun raises
+        except Exception as error:  # whatever Rerun raises, the gearbox goes on
             self._fail(f"viewer stopped: {error}")
         finally:
-            # Without this the file's last chunks stay in memory; a sink that is gone can't be flushed.
+            # Without a flush the last chunks never reach the file; flushing a lost connection raises.
             with contextlib.suppress(Exception):
                 self._stream.flush(timeout_sec=FLUSH_TIMEOUT)
             with contextlib.suppress(Exception):
                 self._stream.disconnect()
 
     def _open(self) -> bool:
-        """Start the sink, after a viewer answers if one is to be connected to; False if closed before."""
-        while self._address is not None and not self._answers(*self._address):
+        """Start the sink, in mode ``connect`` once the viewer answers; False if closed before that."""
+        while self._address is not None and not self._is_listening(*self._address):
             with self._changed:
                 self._drop_waiting()
                 if self._closing:
@@ -136,14 +135,14 @@ class Viewer:
     def _show(self) -> None:
         flushed = time.monotonic()
         while chunks := self._take():
-            for run in contiguous(chunks):
-                self._scene.draw(run)
+            for samples in contiguous_blocks(chunks):
+                self._scene.draw(samples)
             if time.monotonic() - flushed > FLUSH_INTERVAL:
                 self._stream.flush(timeout_sec=FLUSH_TIMEOUT)
                 flushed = time.monotonic()
 
     def _take(self) -> list[Chunk]:
-        """All that waits once it is worth drawing; empty only when closed and done."""
+        """Everything queued, once a batch is complete or IDLE is over; empty only when closed and done."""
         with self._changed:
             self._changed.wait_for(lambda: self._waiting or self._closing)
             self._changed.wait_for(lambda: self._closing or self._waiting_samples >= self._batch, IDLE)
@@ -163,8 +162,8 @@ class Viewer:
             self._drop_waiting()
 
 
-def contiguous(chunks: list[Chunk]) -> list[np.ndarray[tuple[int, ...], np.dtype[np.float64]]]:
-    """Samples of ``chunks`` joined, shape (n, 28), cut where one was dropped between them."""
+def contiguous_blocks(chunks: list[Chunk]) -> list[np.ndarray[tuple[int, ...], np.dtype[np.float64]]]:
+    """The samples of ``chunks``, joined up to where a chunk is missing; shape (n, 28) each."""
     runs: list[list[Chunk]] = []
     for chunk in chunks:
         if runs and runs[-1][-1].first_sample + len(runs[-1][-1]) == chunk.first_sample:

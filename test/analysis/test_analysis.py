@@ -13,11 +13,12 @@ from matplotlib.image import imread
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.analysis import ledger, sections, spectra
-from gear_dynamics_ros.analysis.statistics import Envelope, Quantities, Statistics, quantities
-from gear_dynamics_ros.analysis.summary import Span, steady_window
+from gear_dynamics_ros.analysis.statistics import Envelope, Quantities, Statistics, derived_quantities
+from gear_dynamics_ros.analysis.summary import TimeSpan, steady_window
 from gear_dynamics_ros.channels import CHANNEL_NAMES, COLUMN
 from gear_dynamics_ros.chunk import Commands, Samples
 from gear_dynamics_ros.cli import analyze
+from gear_dynamics_ros.cli.analyze import analyze_main
 from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics.derived import base_radii
@@ -125,13 +126,13 @@ def test_totals_do_not_depend_on_the_pieces() -> None:
     found = Statistics()
     for first, end in ((0, 1), (1, 4000), (4000, 10_000)):
         samples = stretch(first, values[first:end], names)
-        found.add(samples, quantities(samples))
-    dte = found.totals["dte"]
+        found.add(samples, derived_quantities(samples))
+    dte = found.totals()["dte"]
     assert (dte.minimum, dte.maximum) == (values[:, 1].min(), values[:, 1].max())
     assert dte.mean == pytest.approx(0.0, abs=1e-12)
     assert dte.rms == pytest.approx(math.sqrt(0.5), rel=1e-12)
-    assert found.shares == pytest.approx((0.75, 0.0, 0.25))
-    assert found.mean_load_torque == pytest.approx(30.0)
+    assert found.meshing_shares() == pytest.approx((0.75, 0.0, 0.25))
+    assert found.mean_load_torque() == pytest.approx(30.0)
 
 
 def test_bearing_force_is_that_of_contact_and_film_together() -> None:
@@ -139,7 +140,7 @@ def test_bearing_force_is_that_of_contact_and_film_together() -> None:
     assert names[0] == "driving_contact_force_x"
     samples = stretch(0, np.array([[3.0, 1.0, 0.0, 3.0]]), names)
     assert samples.bearing_force("driving").tolist() == [5.0]
-    assert quantities(samples).names[-1] == "driving_bearing_force"
+    assert derived_quantities(samples).names[-1] == "driving_bearing_force"
     assert not samples.has_bearing_force("driven")
 
 
@@ -156,7 +157,7 @@ def test_envelope_holds_every_peak_of_a_run_longer_than_its_capacity() -> None:
     blocks = [values[begin : begin + width, 0] for begin in range(0, len(values), width)]
     np.testing.assert_array_equal(low, [block.min() for block in blocks])
     np.testing.assert_array_equal(high, [block.max() for block in blocks])
-    assert envelope.time[0] == pytest.approx((first + (width - 1) / 2) * INTERVAL)
+    assert envelope.times()[0] == pytest.approx((first + (width - 1) / 2) * INTERVAL)
 
 
 # Window
@@ -173,11 +174,11 @@ def test_envelope_holds_every_peak_of_a_run_longer_than_its_capacity() -> None:
     ],
 )
 def test_default_window_keeps_clear_of_changes(changes: list[float], expected: tuple[float, float]) -> None:
-    assert steady_window(Span(0.0, 10.0), changes) == pytest.approx(expected)
+    assert steady_window(TimeSpan(0.0, 10.0), changes) == pytest.approx(expected)
 
 
 def test_a_short_run_is_its_own_window() -> None:
-    assert steady_window(Span(0.0, 0.05), [0.02]) == Span(0.0, 0.05)
+    assert steady_window(TimeSpan(0.0, 0.05), [0.02]) == TimeSpan(0.0, 0.05)
 
 
 # The command
@@ -197,7 +198,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_analyze_draws_and_counts(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     output = tmp_path / "new" / "figures"
-    assert analyze.main([str(bag), "--output", str(output)]) == 0
+    assert analyze_main([str(bag), "--output", str(output)]) == 0
     written = capsys.readouterr().out.splitlines()
     files = ["summary.json", "impacts.csv", *(f"{name}.png" for name in FIGURES)]
     assert written == [str(output / name) for name in files]
@@ -223,7 +224,7 @@ def test_analyze_draws_and_counts(bag: Path, tmp_path: Path, capsys: pytest.Capt
 
 
 def test_analyze_balances_the_energy_and_lists_the_impacts(bag: Path, tmp_path: Path) -> None:
-    assert analyze.main([str(bag), "--output", str(tmp_path)]) == 0
+    assert analyze_main([str(bag), "--output", str(tmp_path)]) == 0
     found = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
     energy, impacts = found["energy"], found["impacts"]
     assert (energy["from"], energy["to"]) == pytest.approx((0.002, 0.48))
@@ -242,12 +243,12 @@ def test_analyze_balances_the_energy_and_lists_the_impacts(bag: Path, tmp_path: 
 def test_a_recording_without_the_ledger_has_none(tmp_path: Path) -> None:
     parameters = Parameters()
     engine, encoder = Engine(parameters), Encoder(parameters, 0)
-    recorder = Recorder(tmp_path / "bag", parameters, engine.checkpoint(), 0)
+    recorder = Recorder(tmp_path / "bag", engine.checkpoint(), 0)
     for _ in range(8):
         records = encoder.chunk(engine.advance())
         recorder.write([record for record in records if record.topic not in ("energy", "impacts")])
     recorder.close()
-    assert analyze.main([str(tmp_path / "bag"), "--output", str(tmp_path / "out")]) == 0
+    assert analyze_main([str(tmp_path / "bag"), "--output", str(tmp_path / "out")]) == 0
     found = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
     assert (found["energy"], found["impacts"]) == (None, None)
     assert not (tmp_path / "out" / "impacts.csv").exists()
@@ -261,7 +262,7 @@ def test_analyze_takes_energies_as_channels(tmp_path: Path) -> None:
 
 
 def test_analyze_takes_the_window_asked_for(bag: Path, tmp_path: Path) -> None:
-    assert analyze.main([str(bag), "--output", str(tmp_path), "--from", "0.1", "--to", "0.15"]) == 0
+    assert analyze_main([str(bag), "--output", str(tmp_path), "--from", "0.1", "--to", "0.15"]) == 0
     window = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["window"]
     assert (window["from"], window["to"], window["samples"]) == (
         pytest.approx(0.1),
@@ -294,7 +295,7 @@ def test_analyze_draws_what_a_subset_of_channels_allows(tmp_path: Path) -> None:
 def test_windows_that_cannot_be_meant(
     bag: Path, tmp_path: Path, arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert analyze.main([str(bag), "--output", str(tmp_path / "out"), *arguments]) == 2
+    assert analyze_main([str(bag), "--output", str(tmp_path / "out"), *arguments]) == 2
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
@@ -306,11 +307,11 @@ def test_output_that_is_a_file_is_refused(
 ) -> None:
     file = tmp_path / "file"
     file.write_text("kept", encoding="utf-8")
-    assert analyze.main([str(bag), "--output", str(file)]) == 2
+    assert analyze_main([str(bag), "--output", str(file)]) == 2
     assert "is a file: name a folder" in capsys.readouterr().err
     assert file.read_text(encoding="utf-8") == "kept"
 
 
 def test_no_recording_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert analyze.main([str(tmp_path / "none"), "--output", str(tmp_path / "out")]) == 2
+    assert analyze_main([str(tmp_path / "none"), "--output", str(tmp_path / "out")]) == 2
     assert capsys.readouterr().err.startswith("analyze: error: no recording at")

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.analysis import figures
-from gear_dynamics_ros.analysis.statistics import Envelope, quantities
+from gear_dynamics_ros.analysis.statistics import Envelope, derived_quantities
 from gear_dynamics_ros.channels import CHANNEL_NAMES
 from gear_dynamics_ros.chunk import Commands, Samples
 from gear_dynamics_ros.parameters import Parameters
@@ -62,7 +62,7 @@ def magnitude(samples: Samples, vector: str) -> Vector:
 
 def test_overview_holds_the_bounds_of_every_quantity_and_marks_what_happened(samples: Samples) -> None:
     envelope = Envelope(capacity=64)
-    envelope.add(samples, quantities(samples))
+    envelope.add(samples, derived_quantities(samples))
     figure = figures.overview(envelope, [CHANGE * INTERVAL], (0.03, 0.06))
     panels: list[tuple[str, float, list[Vector]]] = [
         ("speed\n(rad/s)", 1.0, [samples[f"{gear}_speed"] for gear in GEARS]),

@@ -40,7 +40,7 @@ def unexplained(chunk: Chunk) -> float:
     """Greatest residual of the balance over the energy that works and losses moved."""
     rows = energies(chunk)
     moved = np.abs(np.diff(rows[:, : -len(ledger.STORED)], axis=0)).sum()
-    return float(np.abs((rows - rows[0]) @ ledger.SHARES).max() / moved)
+    return float(np.abs((rows - rows[0]) @ ledger.RESIDUAL_SIGNS).max() / moved)
 
 
 @pytest.mark.parametrize("surface", [{}, SMOOTH], ids=["rough", "smooth"])
@@ -68,7 +68,7 @@ def test_asking_for_energies_changes_no_other_channel() -> None:
 
 
 def test_losses_only_grow() -> None:
-    losses = energies(run())[:, [ledger.NAMES.index(name) for name in ledger.LOSSES]]
+    losses = energies(run())[:, [ledger.ENERGY_NAMES.index(name) for name in ledger.LOSSES]]
     assert (np.diff(losses, axis=0) >= -1e-12 * losses.max()).all()
 
 
@@ -102,7 +102,7 @@ def test_impacts_are_what_the_waveform_shows(model: str) -> None:
 def test_a_reset_begins_the_ledger_anew() -> None:
     parameters = Parameters()
     engine = Engine(parameters)
-    found = ledger.Ledger([engine.parameters.solver.samples_per_chunk * 5])
+    found = ledger.EnergyLedger([engine.parameters.solver.samples_per_chunk * 5])
     expected = np.zeros(len(ENERGIES))
     for stretch in range(2):
         chunks = [engine.advance() for _ in range(5)]
@@ -111,9 +111,9 @@ def test_a_reset_begins_the_ledger_anew() -> None:
         expected += chunks[-1].energies - chunks[0].energies
         if stretch == 0:
             engine.reset()
-    block = found.block(1e-5, parameters)
+    block = found.to_json(1e-5, parameters)
     assert block is not None
-    assert [block[name] for name in ledger.NAMES] == pytest.approx(list(expected), rel=1e-9)
+    assert [block[name] for name in ledger.ENERGY_NAMES] == pytest.approx(list(expected), rel=1e-9)
     assert (block["from"], block["to"]) == (pytest.approx(0.002), pytest.approx(0.02))
     assert abs(block["residual"]) < 1e-6 * block["exchanged"]
 
@@ -127,10 +127,10 @@ def test_totals_of_impacts() -> None:
             [3.0, 3.1, 0.0, 0.0, 0.1, 1.0],
         ]
     )
-    totals = ledger.Impacts(minimum_speed=1e-3)
+    totals = ledger.ImpactTotals(minimum_speed=1e-3)
     totals.add(rows[:1])
     totals.add(rows[1:])
-    block = totals.block()
+    block = totals.to_json()
     assert block["driving"] == {
         "count": 3,
         "mean_impact_speed": pytest.approx(0.4 / 3),

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gear_dynamics_ros.channels import CHANNEL_NAMES
 from gear_dynamics_ros.cli import drive
+from gear_dynamics_ros.cli.progress import ProgressLine
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.harness.player import Player
 from gear_dynamics_ros.harness.profile import Profile, load_profile
@@ -112,7 +113,7 @@ def test_chirp_has_its_frequencies_at_its_ends() -> None:
         ({"speed": [{"at": -1.0, "value": 1.0}]}, "commands.speed[0].at is -1 s, must be >= 0"),
         ({"speed": [{"at": 0.0}]}, "commands.speed[0] has no value"),
         ({"speed": [{"at": 0.0, "value": 1.0, "to": 2.0}]}, "commands.speed[0] has the unknown key 'to'"),
-        ({"speed": [{"from": 0.0, "to": 1.0, "value": 1.0}]}, "commands.speed[0] starts from no known value"),
+        ({"speed": [{"from": 0.0, "to": 1.0, "value": 1.0}]}, "commands.speed[0] has no value to start from"),
         (
             {"speed": [{"at": 1.0, "value": 1.0}, {"at": 1.0, "value": 2.0}]},
             "commands.speed[1] starts at 1 s",
@@ -125,7 +126,7 @@ def test_chirp_has_its_frequencies_at_its_ends() -> None:
                     {"at": 2.0, "value": 2.0},
                 ]
             },
-            "commands.speed[2] starts at 2 s, before the entry above is over (1 to 3 s)",
+            "commands.speed[2] starts at 2 s, before the entry above ends (1 to 3 s)",
         ),
         (
             {"speed": [{"at": 0.0, "value": 1.0}, {"from": 3.0, "to": 3.0, "value": 2.0}]},
@@ -217,7 +218,9 @@ def test_each_measure_takes_its_own_keys(entry: dict[str, Any], said: str) -> No
 def test_expectations_are_told_apart_by_name() -> None:
     calm = {"mean": "dte", "from": 0.0, "to": 1.0, "maximum": 1.0}
     assert len({e.name for e in expecting(calm, {**calm, "to": 2.0}).expectations}) == 2
-    with pytest.raises(UsageError, match=r"expectations\[1\].name is 'calm', as that of expectations\[0\]"):
+    with pytest.raises(
+        UsageError, match=r"expectations\[1\].name is 'calm', the same as that of expectations\[0\]"
+    ):
         expecting({**calm, "name": "calm"}, {**calm, "name": "calm"})
 
 
@@ -482,9 +485,8 @@ def test_progress_is_drawn_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -
         (io.StringIO(), ""),
     ):
         monkeypatch.setattr(sys, "stderr", terminal)
-        display = drive._Display()
-        display.update(player)
-        display.close()
+        with ProgressLine() as line:
+            drive._Watch(line)(player)
         assert expected in terminal.getvalue()
         assert bool(terminal.getvalue()) is bool(expected)
 
@@ -495,14 +497,14 @@ def test_progress_is_drawn_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -
 )
 def test_bad_usage_exits_2(arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
-        drive.main(arguments)
+        drive.drive_main(arguments)
     assert caught.value.code == 2
     error = capsys.readouterr().err
     assert "drive: error:" in error and said in error.splitlines()[-1]
 
 
 def test_a_missing_profile_exits_2_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert drive.main([str(tmp_path / "none.yaml")]) == 2
+    assert drive.drive_main([str(tmp_path / "none.yaml")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert (
         line

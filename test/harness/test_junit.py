@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gear_dynamics_ros.cli import drive
-from gear_dynamics_ros.harness.junit import PLAYED, write_report
+from gear_dynamics_ros.harness.junit import PLAYED, JunitReport
 from gear_dynamics_ros.harness.player import Player
 from gear_dynamics_ros.harness.profile import Profile, parse_profile
 from gear_dynamics_ros.harness.results import Result, unreached
@@ -43,7 +43,7 @@ def report(tmp_path: Path) -> Path:
 
 def written(report: Path, results: tuple[Result, ...], failure: str) -> ElementTree.Element:
     report.parent.mkdir()
-    write_report(report, "load_step", results, failure)
+    JunitReport(report, "load_step").write(results, failure)
     (suite,) = ElementTree.parse(report).getroot().iter("testsuite")
     return suite
 
@@ -108,7 +108,7 @@ def test_an_unwritable_report_is_refused_before_anything_is_played(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], path: str
 ) -> None:
     (tmp_path / "profile.yaml").write_text("duration: 1.0")
-    assert drive.main([str(tmp_path / "profile.yaml"), "--junit", str(tmp_path / path)]) == 2
+    assert drive.drive_main([str(tmp_path / "profile.yaml"), "--junit", str(tmp_path / path)]) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
     (line,) = printed.err.splitlines()

@@ -13,7 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from gear_dynamics_ros.harness.measures import STATISTICS, Measure, Monotone, Settling, Share, Statistic
+from gear_dynamics_ros.harness.measures import (
+    STATISTICS,
+    FlankShare,
+    Measure,
+    Reversal,
+    SettlingTime,
+    Statistic,
+)
 
 Samples: TypeAlias = NDArray[np.float64]
 INTERVAL_NS = 10_000
@@ -48,11 +55,11 @@ EXACT: list[tuple[Measure, Callable[[Samples], tuple[float, ...]]]] = [
     (Statistic("every"), lambda samples: (samples.min(), samples.max())),
     (Statistic("smallest"), lambda samples: (samples.min(),)),
     (Statistic("largest"), lambda samples: (samples.max(),)),
-    (Share("apart"), lambda samples: (np.mean(samples == 0.0),)),
-    (Share("back"), lambda samples: (np.mean(samples == -1.0),)),
-    (Settling(-1.0, 1.0, "m"), lambda samples: (settling_of_the_whole(samples),)),
-    (Monotone("rising"), lambda samples: (way_back_of_the_whole(samples),)),
-    (Monotone("falling"), lambda samples: (way_back_of_the_whole(-samples),)),
+    (FlankShare("apart"), lambda samples: (np.mean(samples == 0.0),)),
+    (FlankShare("back"), lambda samples: (np.mean(samples == -1.0),)),
+    (SettlingTime(-1.0, 1.0, "m"), lambda samples: (settling_of_the_whole(samples),)),
+    (Reversal("rising"), lambda samples: (way_back_of_the_whole(samples),)),
+    (Reversal("falling"), lambda samples: (way_back_of_the_whole(-samples),)),
 ]
 
 
@@ -83,8 +90,8 @@ def test_a_nan_is_never_overlooked(samples: Samples, edges: list[int], place: in
     for name in STATISTICS:
         assert all(math.isnan(value) for value in measured(Statistic(name), samples, edges))
     for direction in ("rising", "falling"):
-        assert all(math.isnan(value) for value in measured(Monotone(direction), samples, edges))
-    (settled,) = measured(Settling(-math.inf, math.inf, ""), samples, edges)
+        assert all(math.isnan(value) for value in measured(Reversal(direction), samples, edges))
+    (settled,) = measured(SettlingTime(-math.inf, math.inf, ""), samples, edges)
     last = place % len(samples) + 1
     assert settled == (math.inf if last == len(samples) else last * INTERVAL_NS / 1e9)
 

@@ -7,17 +7,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gear_dynamics_ros import recording
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.harness import recorded
-from gear_dynamics_ros.harness.recorded import Change, Reset
+from gear_dynamics_ros.harness.profile import Profile, step_profile
 from gear_dynamics_ros.parameters import Parameters, updated
+from gear_dynamics_ros.replay import publish
+from gear_dynamics_ros.replay.publish import ChangeAction, ResetAction
 from gear_dynamics_ros.simulation.engine import Engine
 from support.recordings import record
 
 PARAMETERS = updated(Parameters(), {"operation.speed": 400.0, "operation.control": "torque"})
 CHANGED = {"oil.viscosity": 0.05, "operation.drive_torque": 25.0}
 CHUNK_NS = PARAMETERS.solver.samples_per_chunk * PARAMETERS.solver.sample_interval_ns
+
+
+def profile_of(bag: recording.Recording) -> Profile:
+    script = publish.commands_of(bag)
+    commands = [(step.time_ns / 1e9, step.commands) for step in script.steps]
+    return step_profile(f"commands of {bag.path}", script.duration_ns / 1e9, commands)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +50,7 @@ def eventful(tmp_path_factory: pytest.TempPathFactory):
 
 
 def test_a_profile_has_the_commands_in_force_at_every_time(eventful) -> None:
-    profile = recorded.profile(eventful)
+    profile = profile_of(eventful)
     assert round(profile.duration * 1e9) == 10 * CHUNK_NS
     assert not profile.reset and not profile.parameters and not profile.expectations
     values = [
@@ -55,21 +63,21 @@ def test_a_profile_has_the_commands_in_force_at_every_time(eventful) -> None:
 
 
 def test_a_script_has_every_act_at_its_time(eventful) -> None:
-    script = recorded.script(eventful)
+    script = publish.script_of(eventful)
     assert script.duration_ns == 10 * CHUNK_NS
-    moments = [(m.time_ns // CHUNK_NS, m.acts, tuple(m.commands)) for m in script.moments]
+    moments = [(m.time_ns // CHUNK_NS, m.actions, tuple(m.commands)) for m in script.steps]
     assert moments == [
         (0, (), (30.0, 30.0, 400.0)),
         (2, (), (30.0, 20.0, 400.0)),
-        (4, (Change(CHANGED),), (25.0, 20.0, 400.0)),
-        (6, (Reset(),), (25.0, 30.0, 400.0)),
+        (4, (ChangeAction(CHANGED),), (25.0, 20.0, 400.0)),
+        (6, (ResetAction(),), (25.0, 30.0, 400.0)),
         (8, (), (25.0, 30.0, 410.0)),
     ]
 
 
 def test_what_is_left_out_is_counted(eventful) -> None:
-    assert +recorded.left_out_of_profile(eventful) == {"parameter changes": 2, "resets": 1}
-    assert +recorded.left_out_of_script(eventful) == {"changes of pacing or stepping": 1}
+    assert +publish.skipped_by_commands(eventful) == {"parameter changes": 2, "resets": 1}
+    assert +publish.skipped_by_script(eventful) == {"changes of pacing or stepping": 1}
 
 
 def test_a_change_of_commands_alone_is_not_left_out(tmp_path: Path) -> None:
@@ -78,19 +86,19 @@ def test_a_change_of_commands_alone_is_not_left_out(tmp_path: Path) -> None:
             run.change(updated(run.engine.parameters, {"operation.load_torque": 20.0}))
 
     bag = record(tmp_path / "bag", PARAMETERS, 3, act)
-    assert not +recorded.left_out_of_profile(bag)
-    assert recorded.profile(bag).commands["load_torque"].value(CHUNK_NS / 1e9) == 20.0
+    assert not +publish.skipped_by_commands(bag)
+    assert profile_of(bag).commands["load_torque"].value(CHUNK_NS / 1e9) == 20.0
 
 
 def test_an_engine_given_the_script_makes_the_same_bits(eventful) -> None:
     engine = Engine(PARAMETERS)
     engine.advance(300)  # another start, which the reset undoes
-    script = recorded.from_start_state(recorded.script(eventful))
-    ends = [moment.time_ns for moment in script.moments[1:]] + [script.duration_ns]
+    script = publish.with_initial_reset(publish.script_of(eventful))
+    ends = [moment.time_ns for moment in script.steps[1:]] + [script.duration_ns]
     made = []
-    for moment, end_ns in zip(script.moments, ends, strict=True):
-        for act in moment.acts:
-            if isinstance(act, Reset):
+    for moment, end_ns in zip(script.steps, ends, strict=True):
+        for act in moment.actions:
+            if isinstance(act, ResetAction):
                 engine.reset()
             else:
                 engine.change(updated(engine.parameters, act.parameters))
@@ -106,9 +114,9 @@ def test_a_part_of_a_run_begins_at_its_own_first_sample(tmp_path: Path) -> None:
 
     bag = record(tmp_path / "bag", PARAMETERS, 6, act, begin=3)
     assert bag.first_sample == 600
-    assert not recorded.starts_from_start_state(bag)
-    script = recorded.script(bag)
-    assert [(moment.time_ns, moment.commands.load_torque) for moment in script.moments] == [
+    assert not publish.starts_at_start_state(bag)
+    script = publish.script_of(bag)
+    assert [(moment.time_ns, moment.commands.load_torque) for moment in script.steps] == [
         (0, 30.0),
         (CHUNK_NS, 20.0),
     ]
@@ -121,18 +129,18 @@ def test_a_recording_after_a_reset_begins_at_the_start_state(tmp_path: Path) -> 
             run.reset()
 
     bag = record(tmp_path / "bag", PARAMETERS, 5, act, begin=3)
-    assert not recorded.starts_from_start_state(bag)
+    assert not publish.starts_at_start_state(bag)
     bag = record(tmp_path / "anew", PARAMETERS, 5, act, begin=2)
     assert bag.first_sample == 400
-    assert recorded.starts_from_start_state(bag)
+    assert publish.starts_at_start_state(bag)
 
 
 def test_a_moment_within_a_chunk_is_refused_with_the_chunk_that_fits(eventful) -> None:
-    script = recorded.script(eventful)
-    recorded.require_edges(script, CHUNK_NS)
-    recorded.require_edges(script, 2 * CHUNK_NS)
+    script = publish.script_of(eventful)
+    publish.require_chunk_edges(script, CHUNK_NS)
+    publish.require_chunk_edges(script, 2 * CHUNK_NS)
     with pytest.raises(UsageError) as caught:
-        recorded.require_edges(script, 3 * CHUNK_NS)
+        publish.require_chunk_edges(script, 3 * CHUNK_NS)
     assert "0.004 s after its first sample" in str(caught.value)
     assert "solver.chunk = 0.006 s" in str(caught.value)
     assert str(caught.value).endswith("start the gearbox with solver.chunk = 0.002 s")
@@ -140,6 +148,6 @@ def test_a_moment_within_a_chunk_is_refused_with_the_chunk_that_fits(eventful) -
 
 def test_a_recording_without_samples_is_refused(tmp_path: Path) -> None:
     bag = record(tmp_path / "bag", PARAMETERS, 0, lambda run, chunk: None)
-    for make in (recorded.profile, recorded.script):
-        with pytest.raises(UsageError, match="holds no sample"):
+    for make in (profile_of, publish.script_of):
+        with pytest.raises(UsageError, match="has no samples"):
             make(bag)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.harness.profile import Profile, load_profile
-from gear_dynamics_ros.harness.series import Series, held, linear, load_series
+from gear_dynamics_ros.harness.series import CommandSeries, load_series
 
 MakeProfile = Callable[..., Profile]
 finite = st.floats(-1e6, 1e6)
@@ -74,14 +74,14 @@ def test_a_ramp_goes_on_from_the_last_row(profile: MakeProfile, tmp_path: Path) 
         ("", "", "line 1: 0 columns 'time'"),
         ("time,torque\n0,1\n", "", "line 1: 0 columns 'speed' in 'time, torque', must be one"),
         ("time,speed,speed\n0,1,1\n", "", "line 1: 2 columns 'speed'"),
-        ("time,speed\n", "", "no rows below the names"),
+        ("time,speed\n", "", "no rows below the line of column names"),
         ("time,speed\n0.1,1\n", "", "line 2: the first time is 0.1 s, must be 0"),
         ("time,speed\n0,1\n1,2\n1,3\n", "", "line 4: time is 1 s, must be later than 1 s above"),
         ("time,speed\n0,1\n1\n", "", "line 3: 1 columns, must be 2"),
         ("time,speed\n0,fast\n", "", "line 2: speed is 'fast', must be a finite number"),
         ("time,speed\n0,nan\n", "", "line 2: speed is 'nan', must be a finite number"),
         ("time,speed\n0,1_0\n", "", "line 2: speed is '1_0', must be a finite number"),
-        ('time,speed\n0,"1\n', "", "no CSV text"),
+        ('time,speed\n0,"1\n', "", "not CSV text"),
         (
             "time,speed\n0,1\n",
             "interpolation: cubic",
@@ -113,7 +113,7 @@ def test_both_interpolations_against_a_search_by_hand(
     rows: list[tuple[int, float]], first: float, time: float
 ) -> None:
     times = np.concatenate([[0.0], np.cumsum([step for step, _ in rows]) * 1e-6])
-    series = Series(times, np.array([first, *(value for _, value in rows)]))
+    series = CommandSeries(times, np.array([first, *(value for _, value in rows)]))
     before = max(row for row in range(len(times)) if times[row] <= time)
     assert held(series, time) == series.values[before]
     expected = np.interp(time, times, series.values)

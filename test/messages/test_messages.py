@@ -17,6 +17,13 @@ from gear_dynamics_ros.channels import (
     IMPACTS,
 )
 from gear_dynamics_ros.chunk import Chunk, Commands, Counters
+)
+from gear_dynamics_ros.chunk import (
+    Chunk,
+    Commands,
+    Counters,
+    Status,
+)
 from gear_dynamics_ros.messages.cdr import (
     deserialize,
     message_class,

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import ast
 import os
+import re
 import shutil
 import subprocess
 import sys
 import sysconfig
+from collections.abc import Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 from catkin_pkg.package import parse_package
+from conftest import executable
+from packaging.requirements import Requirement
 
 import gear_dynamics_ros
 from gear_dynamics_ros.errors import GearboxError
@@ -33,6 +38,33 @@ SHARED = (
     "sros2/policy.xml",
     "urdf/gearbox.urdf",
 )
+
+
+# The dependency in package.xml that provides an import of another name.
+PROVIDERS: Mapping[str, str] = {
+    "PIL": "python3-pil",
+    "catkin_pkg": "python3-catkin-pkg-modules",
+    "hypothesis": "python3-hypothesis",
+    "numpy": "python3-numpy",
+    "packaging": "python3-packaging",
+    "pytest": "python3-pytest",
+    "scipy": "python3-scipy",
+    "urdf_parser_py": "urdfdom_py",
+    "yaml": "python3-yaml",
+}
+# The distribution that pip installs, because Ubuntu 24.04 has it too old or not at all.
+FROM_PIP: Mapping[str, str] = {
+    "llvmlite": "llvmlite",
+    "matplotlib": "matplotlib",
+    "mcap": "mcap",
+    "mcap_ros2": "mcap-ros2-support",
+    "numba": "numba",
+    "pyarrow": "pyarrow",
+    "rosbags": "rosbags",
+    "zstandard": "zstandard",
+}
+# Needs NumPy 2, which ROS 2 Jazzy's message packages do not work with.
+NOT_ON_UBUNTU_24_04 = {"rerun"}
 
 
 class Installation(NamedTuple):
@@ -135,6 +167,63 @@ def test_manifest_agrees_with_the_package() -> None:
     assert manifest.version == gear_dynamics_ros.__version__ == metadata.version(PACKAGE)
     assert [str(license) for license in manifest.licenses] == ["Apache-2.0"]
     assert [export.content for export in manifest.exports] == ["ament_python"]
+
+
+def syntax(*folders: str) -> Iterator[ast.AST]:
+    """Every node of the Python files below ``folders``."""
+    for folder in folders:
+        for path in (SOURCE / folder).rglob("*.py"):
+            yield from ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+
+
+def imports(*folders: str) -> set[str]:
+    """Top-level names that the Python files below ``folders`` import from elsewhere."""
+    helpers = {path.stem for folder in ("test", "benchmarks") for path in (SOURCE / folder).rglob("*")}
+    found: set[str] = set()
+    for node in syntax(*folders):
+        match node:
+            case ast.Import(names=names):
+                found |= {alias.name for alias in names}
+            case ast.ImportFrom(module=str(module), level=0):
+                found.add(module)
+    return {name.partition(".")[0] for name in found} - sys.stdlib_module_names - helpers - {PACKAGE}
+
+
+@pytest.mark.parametrize(
+    ("folders", "kinds"),
+    [
+        (("gear_dynamics_ros", "launch", "examples"), ("exec_depends",)),
+        (("test",), ("exec_depends", "test_depends")),
+    ],
+    ids=["package", "tests"],
+)
+def test_manifest_names_what_is_imported(folders: tuple[str, ...], kinds: tuple[str, ...]) -> None:
+    manifest = parse_package(str(SOURCE))
+    declared = {dependency.name for kind in kinds for dependency in getattr(manifest, kind)}
+    used = imports(*folders)
+    assert used >= {"numpy", "rclpy", "std_msgs"}
+    from_rosdep = used - FROM_PIP.keys() - NOT_ON_UBUNTU_24_04
+    assert {PROVIDERS.get(name, name) for name in from_rosdep} - declared == set()
+
+
+def test_manifest_names_the_packages_of_all_message_types() -> None:
+    texts = (node.value for node in syntax(PACKAGE) if isinstance(node, ast.Constant))
+    types = (re.fullmatch(r"(\w+)/msg/[A-Z]\w*", text) for text in texts if isinstance(text, str))
+    packages = {found[1] for found in types if found}
+    assert packages >= {"geometry_msgs", "std_msgs"}
+    assert packages - {dependency.name for dependency in parse_package(str(SOURCE)).exec_depends} == set()
+
+
+def test_constraints_for_ubuntu_pin_what_pip_installs() -> None:
+    lines = (SOURCE / "constraints-ubuntu-24.04.txt").read_text(encoding="utf-8").splitlines()
+    pinned = dict(line.split("==") for line in lines if not line.startswith("#"))
+    assert set(FROM_PIP.values()) <= pinned.keys()
+    assert int(pinned["numpy"].partition(".")[0]) < 2
+    required = (Requirement(text) for text in metadata.requires(PACKAGE) or ())
+    unmarked = {requirement.name: requirement for requirement in required if not requirement.marker}
+    assert {"matplotlib", "numba", "numpy", "rosbags"} <= unmarked.keys()
+    versions = {name.lower(): version for name, version in pinned.items()}
+    assert [str(each) for each in unmarked.values() if not each.specifier.contains(versions[each.name])] == []
 
 
 def test_entry_points_are_the_executables() -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from gear_dynamics_ros.cli.simulate import main as simulate_main
+from gear_dynamics_ros.cli.simulate import simulate_main
 from gear_dynamics_ros.parameters import Parameters, load_parameters
 from gear_dynamics_ros.physics import derived, kernel, step_check
 from support.paths import CONFIG

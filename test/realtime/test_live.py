@@ -50,7 +50,7 @@ def start():
         watcher = Watcher()
         run = Run(Engine(parameters), Encoder(parameters, 0), [watcher])
         ended = threading.Event()
-        live = Live(run, Mailbox(parameters, time.monotonic_ns()), lambda chunk: [], ended.set)
+        live = Live(run, Mailbox(parameters, time.monotonic_ns()), ended.set)
         running.append(live)
         live.start()
         return live, watcher, ended

@@ -25,6 +25,7 @@ from gear_dynamics_ros.channels import (
 )
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.cli.replay import main as replay_main
+from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import Parameters, dump_parameters, updated
 from gear_dynamics_ros.recording.export.formats import ROW_GROUP
@@ -123,8 +124,8 @@ def test_a_window_of_some_channels(bag: Path, tmp_path: Path, suffix: str) -> No
 def test_the_time_of_a_sample_is_that_of_no_other_days_after_the_start(bag: Path) -> None:
     opened = recording.open(bag)
     for sample in np.random.default_rng(1).integers(10**9, 10**11, 1000).tolist():
-        assert opened.at(sample * 1e-5) == sample
-        assert opened.at((sample + 0.01) * 1e-5) == sample + 1
+        assert opened.sample_at(sample * 1e-5) == sample
+        assert opened.sample_at((sample + 0.01) * 1e-5) == sample + 1
 
 
 def test_parquet_tells_units_and_origin(bag: Path, tmp_path: Path) -> None:
@@ -169,11 +170,11 @@ def test_impacts(run: Path, tmp_path: Path) -> None:
     opened = recording.open(run)
     expected = opened.impacts()
     assert len(expected) > 1
-    middle = float(np.sort(expected[:, 1])[1])
+    middle = float(np.sort(expected["end"])[1])
     for suffix in FORMATS:
         export(opened, tmp_path / f"x.{suffix}", "impacts")
         found = np.column_stack(list(read(tmp_path / f"x.{suffix}").values()))
-        assert same_bits(found, expected)
+        assert same_bits(found, np.array(expected.tolist()))
         export(opened, tmp_path / f"later.{suffix}", "impacts", start=middle)
         assert len(read(tmp_path / f"later.{suffix}")["begin"]) == len(opened.impacts(middle))
     assert tuple(read(tmp_path / "x.csv")) == tuple(entry.name for entry in IMPACTS)
@@ -199,7 +200,7 @@ def test_events(run: Path, tmp_path: Path) -> None:
     assert [row["event"] for row in rows] == ["start", "parameters", "reset", "end"]
     assert rows[1]["parameters"] == '{"oil.viscosity": 0.03}'
     assert (rows[2]["sample"], rows[2]["time"], rows[2]["message"]) == (600, 0.006, "to begin, again")
-    assert [row["counted_steps"] for row in rows] == [event.counters["steps"] for event in opened.events]
+    assert [row["counted_steps"] for row in rows] == [event.counters.steps for event in opened.events]
     text = read_csv(tmp_path / "x.csv")
     assert {name: [str(row[name]) for row in rows] for name in rows[0]} == text
     with pytest.raises(UsageError, match="message, parameters are text: export this table as parquet or csv"):
@@ -310,8 +311,8 @@ def test_a_broken_off_recording_exports_what_is_readable(
 FULL = """
 import resource, sys
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2)
-from gear_dynamics_ros.cli.replay import main
-sys.exit(main(sys.argv[2:]))
+from gear_dynamics_ros.cli.replay import replay_main
+sys.exit(replay_main(sys.argv[2:]))
 """
 
 
@@ -357,11 +358,13 @@ def test_a_killed_export_leaves_nothing_that_passes_for_whole(
 
 
 def test_parquet_without_pyarrow_is_one_clear_line(run: Path, tmp_path: Path) -> None:
-    code = "import sys; sys.modules.update(pyarrow=None); from gear_dynamics_ros.cli.replay import main; "
+    code = (
+        "import sys; sys.modules.update(pyarrow=None); from gear_dynamics_ros.cli.replay import replay_main; "
+    )
     for suffix, expected in (("parquet", 2), ("csv", 0), ("npy", 0)):
         words = ["export", str(run), "--output", str(tmp_path / f"x.{suffix}")]
         done = subprocess.run(
-            [sys.executable, "-c", code + "sys.exit(main(sys.argv[1:]))", *words],
+            [sys.executable, "-c", code + "sys.exit(replay_main(sys.argv[1:]))", *words],
             capture_output=True,
             text=True,
             timeout=120,

@@ -17,12 +17,12 @@ from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.realtime import recording_control
 from gear_dynamics_ros.realtime.mailbox import Mailbox
-from gear_dynamics_ros.realtime.recording_control import Recordings
+from gear_dynamics_ros.realtime.recording_control import RecordingControl
 from gear_dynamics_ros.realtime.session import Session
 from gear_dynamics_ros.recording import recorder as recorder_module
 from gear_dynamics_ros.recording.ring import Ring
 from gear_dynamics_ros.replay.verify import verify_recording
-from gear_dynamics_ros.simulation import checkpoints
+from gear_dynamics_ros.simulation import checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
 from support.processes import run_python, until
@@ -43,12 +43,12 @@ def test_checkpoints_lie_an_interval_apart_and_hold_what_a_checkpoint_file_does(
     assert list(part.checkpoints) == [3 * CHUNK, 6 * CHUNK, 9 * CHUNK]
     file = tmp_path / "file.json"
     file.write_bytes(part.attachment(part.checkpoints[6 * CHUNK]))
-    saved = checkpoints.load(file)
-    engine = Engine(saved.parameters)
+    saved = checkpoint.load(file)
+    engine = Engine(saved.checkpoint.parameters)
     engine.restore(saved.checkpoint)
     samples = recording.open(tmp_path / "bag").waveform()
     assert engine.advance(CHUNK).samples.tobytes() == samples[6 * CHUNK : 7 * CHUNK].tobytes()
-    assert checkpoints.from_text(part.attachment(part.end).decode(), "end").checkpoint["sample"] == 10 * CHUNK
+    assert part.stored(part.end).checkpoint.sample == 10 * CHUNK
 
 
 def test_no_checkpoints_where_none_are_wanted(tmp_path: Path) -> None:
@@ -87,7 +87,7 @@ def test_a_split_that_waits_is_not_asked_for_twice(tmp_path: Path) -> None:
     made.steps(1)
     # the recorder's thread can't take anything while its lock is held
     with made.recorder._changed:
-        made.recorder.split(made.engine.checkpoint(), made.parameters)
+        made.recorder.split(made.engine.checkpoint())
         assert made.recorder.part_bytes == 0
     made.run.close()
     assert made.recorder.part_bytes > 0
@@ -168,12 +168,12 @@ from gear_dynamics_ros.parameters import Parameters
 from support.recordings import Recorded
 made = Recorded(Path(sys.argv[1]), Parameters.from_flat({"solver.step": 1e-5}))
 made.steps(20)
-made.recorder.split(made.engine.checkpoint(), made.parameters)
+made.recorder.split(made.engine.checkpoint())
 while made.recorder.stats.parts < 2:
     time.sleep(0.01)
 # not even the start of another part fits
 resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))
-made.recorder.split(made.engine.checkpoint(), made.parameters)
+made.recorder.split(made.engine.checkpoint())
 made.steps(20)
 made.run.close()
 print(made.recorder.error)
@@ -214,7 +214,7 @@ def test_a_ring_writes_the_last_of_a_run_and_goes_on(tmp_path: Path) -> None:
     )
     engine = Engine(parameters)
     run = Run(engine, Encoder(parameters, 0))
-    recordings = Recordings(run, 0, "/cell/box")
+    recordings = RecordingControl(run, 0, "/cell/box")
     with pytest.raises(GearboxError, match="there is no ring"):
         recording_control.cut()
     recording_control.arm()
@@ -300,7 +300,7 @@ write = made.recorder.write
 made.recorder.write = lambda records: (handed.extend(records), write(records))
 if sys.argv[2] == "split":
     made.steps(5)
-    made.recorder.split(made.engine.checkpoint(), made.parameters)
+    made.recorder.split(made.engine.checkpoint())
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[3]), resource.RLIM_INFINITY))
 made.steps(150)
 made.run.close()
@@ -340,12 +340,12 @@ def test_a_recording_that_stopped_makes_way_for_another(session: Session, tmp_pa
         session.split()
     (tmp_path / "bag").mkdir()
     assert session.start_recording() == f"recording to {tmp_path / 'bag_2'}"
-    assert session.recorder_errors == [stopped.error]
+    assert session.recordings.errors == (stopped.error,)
     assert session.split() == "split"
     with pytest.raises(GearboxError, match="already recording to"):
         session.start_recording()
     assert session.end_recording().result() == f"recorded {tmp_path / 'bag_2'}"
-    assert session.recorder_errors == [stopped.error]
+    assert session.recordings.errors == (stopped.error,)
 
 
 def test_a_recording_begun_after_a_fault_goes_on_through_the_reset(tmp_path: Path) -> None:
@@ -368,7 +368,7 @@ def test_a_recording_begun_after_a_fault_goes_on_through_the_reset(tmp_path: Pat
     assert session.reset() == "back at the start state"
     assert ended.wait(60.0)
     session.finish("over")
-    assert session.recorder_errors == []
+    assert session.recordings.errors == ()
     for name in ("bag", "bag_2"):
         assert verify_recording(recording.open(tmp_path / name)).difference is None
 

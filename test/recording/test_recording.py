@@ -21,13 +21,18 @@ from rosbags.rosbag2 import Reader
 
 from gear_dynamics_ros import __version__, recording
 from gear_dynamics_ros.channels import CHANNEL_NAMES, IMPACTS
-from gear_dynamics_ros.chunk import Chunk, Commands
+from gear_dynamics_ros.chunk import (
+    Chunk,
+    Commands,
+    Status,
+)
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.recording import recorder as recorder_module
 from gear_dynamics_ros.recording.mcap import writer
 from gear_dynamics_ros.recording.recorder import Recorder
+from gear_dynamics_ros.simulation.checkpoint import Checkpoint
 from gear_dynamics_ros.simulation.engine import kernel_hash
 from gear_dynamics_ros.topics import TOPICS, resolve
 from support.chunks import COMMANDS, NO_COUNTERS, chunk_of, noise
@@ -49,8 +54,9 @@ def samples_of(numbers: range) -> np.ndarray[Any, Any]:
     return np.concatenate([make_chunk(number).samples for number in numbers])
 
 
-def start_at(sample: int) -> dict[str, Any]:
-    return {"sample": sample, "state": [0.1, -1e-300, 3.0000000000000004]}
+def start_at(sample: int, parameters: Parameters | None = None) -> Checkpoint:
+    state = {"numbers": [0.1, -1e-300, 3.0000000000000004]}
+    return Checkpoint(sample, Status.RUNNING, FIRST, state, parameters or Parameters())
 
 
 def equal(left: np.ndarray[Any, Any], right: np.ndarray[Any, Any]) -> bool:
@@ -202,7 +208,7 @@ def test_each_file_holds_a_copy_of_its_metadata(bag: Path) -> None:
 
 def test_records_a_choice_of_channels(tmp_path: Path) -> None:
     parameters = Parameters.from_flat({"waveform_channels": ("time", "dte")})
-    recorder = Recorder(tmp_path / "few", parameters, start_at(0), EPOCH_NS, node="/cell/box")
+    recorder = Recorder(tmp_path / "few", start_at(0, parameters), EPOCH_NS, node="/cell/box")
     recorder.write(Encoder(parameters, EPOCH_NS).chunk(make_chunk(0)))
     recorder.close()
     read = recording.open(tmp_path / "few")
@@ -212,7 +218,7 @@ def test_records_a_choice_of_channels(tmp_path: Path) -> None:
 
 
 def test_an_empty_recording_is_complete(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "none", Parameters(), start_at(5), EPOCH_NS)
+    recorder = Recorder(tmp_path / "none", start_at(5), EPOCH_NS)
     recorder.close()
     recorder.close()
     read = recording.open(tmp_path / "none")
@@ -233,17 +239,17 @@ def test_never_overwrites(tmp_path: Path, kind: str) -> None:
     else:
         path.symlink_to(tmp_path / "nowhere")
     with pytest.raises(UsageError, match="exists already"):
-        Recorder(path, Parameters(), start_at(0), EPOCH_NS)
+        Recorder(path, start_at(0), EPOCH_NS)
     assert os.path.lexists(path)
     assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="does not exist: make it"):
-        Recorder(tmp_path / "missing" / "bag", Parameters(), start_at(0), EPOCH_NS)
+        Recorder(tmp_path / "missing" / "bag", start_at(0), EPOCH_NS)
     (tmp_path / "file").write_text("")
     with pytest.raises(UsageError, match="Not a directory"):
-        Recorder(tmp_path / "file" / "bag", Parameters(), start_at(0), EPOCH_NS)
+        Recorder(tmp_path / "file" / "bag", start_at(0), EPOCH_NS)
 
 
 @pytest.mark.parametrize("content", [None, b"", b"not a recording at all"])
@@ -261,7 +267,7 @@ def test_what_is_no_recording_is_refused(tmp_path: Path, content: bytes | None) 
 def test_queue_is_bounded_and_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recorder_module, "QUEUE_BYTES", 100_000)
     encoder = Encoder(Parameters(), EPOCH_NS)
-    recorder = Recorder(tmp_path / "bag", Parameters(), start_at(0), EPOCH_NS)
+    recorder = Recorder(tmp_path / "bag", start_at(0), EPOCH_NS)
     for number in range(100):
         records = encoder.chunk(make_chunk(number))
         recorder.write(records)
@@ -274,7 +280,7 @@ def test_queue_is_bounded_and_loses_nothing(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_messages_after_the_end_are_counted_as_lost(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "bag", Parameters(), start_at(0), EPOCH_NS)
+    recorder = Recorder(tmp_path / "bag", start_at(0), EPOCH_NS)
     recorder.close()
     before = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
     recorder.write(Encoder(Parameters(), EPOCH_NS).chunk(make_chunk(0)))
@@ -284,7 +290,7 @@ def test_messages_after_the_end_are_counted_as_lost(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("numbers", [(0, 1, 3), (0, 1, 1)])
 def test_a_gap_or_a_doubled_chunk_is_noticed(tmp_path: Path, numbers: tuple[int, ...]) -> None:
-    recorder = Recorder(tmp_path / "bag", Parameters(), start_at(0), EPOCH_NS)
+    recorder = Recorder(tmp_path / "bag", start_at(0), EPOCH_NS)
     for number in numbers:
         recorder.write(Encoder(Parameters(), EPOCH_NS).chunk(make_chunk(number)))
     recorder.close()

@@ -37,6 +37,7 @@ from rosbags.rosbag2 import Reader
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.cli.replay import main as replay_main
+from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.cdr import deserialize, serialize
 from gear_dynamics_ros.messages.decoder import waveform_samples
@@ -44,15 +45,16 @@ from gear_dynamics_ros.messages.encoder import Encoder, waveform_message
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.recording.layout import RunMetadata
 from gear_dynamics_ros.recording.mcap import writer
+from gear_dynamics_ros.recording.mcap.index import ending, read_index, read_metadata
+from gear_dynamics_ros.recording.mcap.records import encode, read_attachment, read_chunk
 from gear_dynamics_ros.recording.mcap.survey import (
     encode,
     ending,
     read_attachment,
     read_chunk,
     read_metadata,
-    survey,
 )
-from gear_dynamics_ros.recording.recover import Report, Span, default_target, recover
+from gear_dynamics_ros.recording.recover import Recovery, SampleRange, default_target, recover
 from gear_dynamics_ros.replay.verify import verify_recording
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
@@ -117,7 +119,7 @@ def filled_chunks(path: Path) -> list[Filled]:
         assert summary is not None
         waveform = next(number for number, each in summary.channels.items() if each.topic == WAVEFORM)
         (start,) = [each for each in make_reader(stream).iter_attachments() if each.name == "start.json"]
-        reached = int(json.loads(start.data)["sample"])
+        reached = int(json.loads(start.data)["checkpoint"]["sample"])
         for index in summary.chunk_indexes:
             stream.seek(index.chunk_start_offset)
             chunk = next(iter(StreamReader(stream, skip_magic=True, emit_chunks=True).records))
@@ -141,7 +143,7 @@ def state_of(path: Path) -> dict[str, tuple[str, int]]:
     }
 
 
-def recovered(source: Path, target: Path) -> Report:
+def recovered(source: Path, target: Path) -> Recovery:
     """Recover, and see that the original stays as it was and nothing but the target appears."""
     before, beside = state_of(source), set(target.parent.iterdir())
     report = recover(source, target)
@@ -292,7 +294,7 @@ def test_a_spoilt_chunk_is_left_out_and_the_gap_is_told(
     # where the length is wrong, nobody knows where the next record begins
     end = chunks[-1].last if where == "length" else spoilt.last
     # the first may hold nothing but the channels
-    assert report.gaps == ((Span(spoilt.first, end),) if end > spoilt.first else ())
+    assert report.gaps == ((SampleRange(spoilt.first, end),) if end > spoilt.first else ())
     part = report.parts[1]
     if where == "length":
         assert (part.break_at, part.spoilt_chunks) == (spoilt.start, 0)
@@ -397,7 +399,7 @@ def test_only_the_index_at_the_end_is_damaged(
 
 def test_a_summary_that_lies_is_noticed(bag: Path, tmp_path: Path) -> None:
     with (bag / "bag_0.mcap").open("rb") as stream:
-        found = survey(stream)
+        found = read_index(stream)
     data = (bag / "bag_0.mcap").read_bytes()
     found.end = int.from_bytes(data[-28:-20], "little") - 13
     assert data[: found.end] + ending(found) == data
@@ -410,7 +412,7 @@ def test_a_summary_that_lies_is_noticed(bag: Path, tmp_path: Path) -> None:
         lying = replace(found, chunks=[replace(each, chunk_length=100) for each in chunks])
         path.write_bytes(data[: found.end] + ending(lying))
         with path.open("rb") as stream:
-            seen = survey(stream)
+            seen = read_index(stream)
             assert seen.complete == complete
             if complete:
                 with pytest.raises(GearboxError, match="spoilt"):
@@ -426,14 +428,14 @@ def test_an_attachment_is_read_by_itself_and_checked(bag: Path, tmp_path: Path) 
     path = tmp_path / "spoilt.mcap"
     path.write_bytes(content)
     with path.open("rb") as stream:
-        parameters, start, *_ = survey(stream).attachments
-        assert json.loads(read_attachment(stream, start))["sample"] == 0
+        parameters, start, *_ = read_index(stream).attachments
+        assert json.loads(read_attachment(stream, start))["checkpoint"]["sample"] == 0
         with pytest.raises(GearboxError, match="checksum"):
             read_attachment(stream, parameters)
     report = recovered(path, tmp_path / "out")
     assert (report.parts[0].spoilt_attachments, report.whole) == (1, False)
     with (tmp_path / "out" / "out_0.mcap").open("rb") as stream:
-        assert [entry.name for entry in survey(stream).attachments] == ["start.json", "end.json"]
+        assert [entry.name for entry in read_index(stream).attachments] == ["start.json", "end.json"]
     with pytest.raises(GearboxError, match=r"parameters\.yaml"):
         recording.open(tmp_path / "out")
 
@@ -452,7 +454,7 @@ def test_the_report_tells_what_was_kept_and_lost(
     target = tmp_path / "source_recovered"
     missing, tail = spoilt.last - spoilt.first, broken.end - broken.start - 1
     size = sum(file.stat().st_size for file in source.iterdir())
-    counts = [part.found.counts for part in recording.open(target).parts]
+    counts = [part.index.counts for part in recording.open(target).parts]
     kept = f"{broken.first - missing} samples, 0 to {broken.first - 1} (0.000000 s to "
     assert told[0] == f"{source}: recovered to {target}"
     assert told[1].endswith("bytes  whole")
@@ -599,7 +601,7 @@ def test_an_interrupted_recovery_leaves_nothing_that_passes_for_complete(bag: Pa
     assert done.returncode == -signal.SIGKILL
     assert [path.name for path in tmp_path.iterdir()] == ["out.part"]
     assert not (tmp_path / "out.part" / "metadata.yaml").exists()
-    with pytest.raises(UsageError, match=r"out\.part' is left of a recovery"):
+    with pytest.raises(UsageError, match=r"out\.part' exists already: .* left it when it was killed"):
         recover(bag, tmp_path / "out")
 
 
@@ -681,7 +683,7 @@ def chunk_of(data: bytes, checksum: int | None = None) -> Chunk:
 def read_all(path: Path) -> None:
     """Everything that a survey leads to."""
     with path.open("rb") as stream:
-        found = survey(stream)
+        found = read_index(stream)
         with suppress(GearboxError):
             read_metadata(stream, found)
         for attachment in found.attachments:

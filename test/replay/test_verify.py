@@ -20,6 +20,7 @@ from gear_dynamics_ros import recording
 from gear_dynamics_ros.channels import CHANNEL_NAMES, COLUMN
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.cli.replay import main as replay_main
+from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters, updated
@@ -113,7 +114,7 @@ def test_what_a_ring_holds_comes_out_again(deeds: list[Any], held: float) -> Non
         elif deed == "save":
             saved = run.checkpoint()
         elif deed == "restore":
-            run.restore(saved)
+            run.resume(saved)
         else:
             run.step(deed if isinstance(deed, Commands) else None)
     run.step()
@@ -223,7 +224,7 @@ def entry(name: str, index: int | None = None) -> Any:
     """Change of an entry of a state to the next double."""
 
     def change(content: dict[str, Any]) -> None:
-        state = content.get("checkpoint", content)["state"]
+        state = content["checkpoint"]["state"]
         if index is None:
             state[name] = float(np.nextafter(state[name], np.inf))
         else:
@@ -304,7 +305,7 @@ def replaced(wanted: str, old: bytes, new: bytes | None) -> Any:
         ("message", "model_info", b'"told": 1', None),
         ("message", "pacing", b"late", b"hate"),
         ("message", "pacing", b"late", None),
-        ("attachment", "start.json", b'"impact_speed": [0.001', b'"impact_speed": [0.002'),
+        ("attachment", "start.json", b'"impact_speed": [\n    0.001', b'"impact_speed": [\n    0.002'),
     ],
 )
 def test_what_no_sample_depends_on_is_guarded_too(
@@ -341,7 +342,7 @@ def test_the_digests_are_those_that_the_documentation_describes(bag: Path) -> No
         lines = [f"{name}={run[name]}\n" for name in (*names, "processor", "compiler", "libraries")]
         opening = numbered("".join(lines).encode())
         opening += numbered(attached["parameters.yaml"].data) + numbered(attached["start.json"].data)
-        begin = int(json.loads(attached["start.json"].data)["sample"]) * 10_000
+        begin = int(json.loads(attached["start.json"].data)["checkpoint"]["sample"]) * 10_000
         later = [name for name in attached if name not in ("parameters.yaml", "start.json")]
         for name in later:
             end = math.inf if name == "end.json" else attached[name].log_time
@@ -349,7 +350,7 @@ def test_the_digests_are_those_that_the_documentation_describes(bag: Path) -> No
                 topic + time.to_bytes(8, "little") + data for time, topic, data in told if begin <= time < end
             ]
             expected = hashlib.sha256(opening + b"".join(stretch)).hexdigest()
-            assert json.loads(attached[name].data)["history"] == expected
+            assert json.loads(attached[name].data)["digest"] == expected
             opening, begin = numbered(attached[name].data), attached[name].log_time
         assert later[-1] == "end.json" and len(later) >= 2
 

@@ -20,6 +20,7 @@ from gear_dynamics_ros.physics.derived import base_radii
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.topics import JOINT_STATE, WRENCH
 from gear_dynamics_ros.urdf import main, urdf
+from gear_dynamics_ros.urdf.description import robot_description
 from support.gearbox import Peer, start_gearbox
 from support.paths import ROOT
 
@@ -28,7 +29,7 @@ UNEQUAL = Parameters.from_flat({"gears.driving.teeth": 25, "gears.driven.teeth":
 
 def parsed(parameters):
     # The parser reports tags that it does not know; ros2_control is not its business.
-    tree = ElementTree.fromstring(urdf(parameters))
+    tree = ElementTree.fromstring(robot_description(parameters))
     tree.remove(tree.find("ros2_control"))
     return URDF.from_xml_string(ElementTree.tostring(tree))
 
@@ -138,7 +139,7 @@ def test_forces_are_given_in_frames_that_stand_as_the_model_does(prefix):
 
 
 def test_prefix_and_node_reach_every_name():
-    text = urdf(Parameters.from_flat({"joint_prefix": "left_"}), "/cell/left")
+    text = robot_description(Parameters.from_flat({"joint_prefix": "left_"}), "/cell/left")
     names = {element.get("name") for element in ElementTree.fromstring(text) if element.tag != "ros2_control"}
     assert {"left_driving", "left_driven", "left_mesh", "left_driving_bearing"} <= names
     assert all(name.startswith("left_") for name in names)
@@ -150,7 +151,7 @@ def test_prefix_and_node_reach_every_name():
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--node", "gearbox"], "give one like /gearbox"),
+        (["--node", "gearbox"], "write it like /gearbox"),
         (["--set", "gears.module=-1"], "gears.module"),
         (["--params-file", "none.yaml"], "none.yaml"),
     ],

@@ -15,6 +15,7 @@ from gear_dynamics_ros.channels import CHANNEL_NAMES, COLUMN
 from gear_dynamics_ros.chunk import Chunk, Commands
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import Parameters, updated
+from gear_dynamics_ros.simulation.checkpoint import Checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
 from support.parameters import parameters
 
@@ -46,7 +47,7 @@ def change(engine: Engine, values: dict[str, Any]) -> None:
 
 
 def state(engine: Engine) -> dict[str, Any]:
-    found: dict[str, Any] = engine.checkpoint()["state"]
+    found = dict(engine.checkpoint().state)
     return found
 
 
@@ -197,7 +198,7 @@ def test_the_ledger_closes_over_changes(model: str) -> None:
         chunks.append(engine.advance(50))
     rows = np.concatenate([chunk.samples for chunk in chunks])[:, len(CHANNEL_NAMES) :]
     moved = np.abs(np.diff(rows[:, : -len(ledger.STORED)], axis=0)).sum()
-    assert np.abs((rows - rows[0]) @ ledger.SHARES).max() < 1e-6 * moved
+    assert np.abs((rows - rows[0]) @ ledger.RESIDUAL_SIGNS).max() < 1e-6 * moved
     assert stored_by_changes > 1e-4 * moved
 
 
@@ -209,7 +210,7 @@ def test_a_state_taken_up_later_goes_on_bit_for_bit(
     engine = Engine(parameters(model=model, operation__drive_torque=3.0, operation__load_torque=3.0))
     change(engine, data.draw(st.sampled_from(CHANGES)))
     engine.advance(saved_at)
-    checkpoint = json.loads(json.dumps(engine.checkpoint()))
+    checkpoint = Checkpoint.from_tree(json.loads(json.dumps(engine.checkpoint().to_tree())))
     original = engine.advance(600)
     other = Engine(engine.parameters)
     if later:

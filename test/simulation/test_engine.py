@@ -9,18 +9,18 @@ import math
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gear_dynamics_ros.channels import CHANNEL_NAMES
+from gear_dynamics_ros.channels import CHANNEL_NAMES, CHANNELS
 from gear_dynamics_ros.chunk import Commands, Status
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics import kernel, lanes
+from gear_dynamics_ros.simulation.checkpoint import Checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
 from support.parameters import parameters
 from support.referee import CHANNELS, Mode, Referee, nested
@@ -77,10 +77,10 @@ def test_a_checkpoint_goes_on_bit_for_bit_through_json() -> None:
     engine = Engine(chosen)
     engine.advance(333)
     engine.command(Commands(10.0, 45.0, 1500.0))
-    saved = json.dumps(engine.checkpoint())
+    saved = json.dumps(engine.checkpoint().to_tree())
     rest = engine.advance(SAMPLES)
     restored = Engine(chosen)
-    restored.restore(json.loads(saved))
+    restored.restore(Checkpoint.from_tree(json.loads(saved)))
     again = restored.advance(SAMPLES)
     assert again.samples.tobytes() == rest.samples.tobytes()
     assert (again.first_sample, again.commands, again.counters) == (333, rest.commands, rest.counters)
@@ -89,18 +89,21 @@ def test_a_checkpoint_goes_on_bit_for_bit_through_json() -> None:
 def test_a_spoiled_checkpoint_changes_nothing() -> None:
     engine = Engine(parameters())
     before = engine.checkpoint()
+    tree = before.to_tree()
     for entry, value in (
-        ("format", 0),
         ("state", {"x": [1.0, 2.0]}),
         ("state", None),
         ("commands", {"torque": 1.0}),
+        ("status", 17),
+        ("sample", math.inf),
+        ("sample", 0.5),
     ):
         with pytest.raises(GearboxError, match="checkpoint"):
-            engine.restore({**before, entry: value})
-    del before["sample"]
+            engine.restore(Checkpoint.from_tree({**tree, entry: value}))
+    del tree["sample"]
     with pytest.raises(GearboxError, match="sample"):
-        engine.restore(before)
-    assert engine.checkpoint()["sample"] == 0
+        engine.restore(Checkpoint.from_tree(tree))
+    assert engine.checkpoint() == before
 
 
 def test_time_is_a_counter_and_goes_on_through_a_reset() -> None:
@@ -212,8 +215,7 @@ def test_a_state_that_is_not_finite_ends_the_run_without_showing_it() -> None:
     engine = Engine(parameters(**PAPER, model="compared"))
     engine.advance(50)
     spoiled = engine.checkpoint()
-    spoiled["state"]["vx"] = [math.nan, 0.0]
-    engine.restore(spoiled)
+    engine.restore(spoiled._replace(state={**spoiled.state, "vx": [math.nan, 0.0]}))
     chunk = engine.advance(100)
     assert chunk.status is Status.NON_FINITE
     assert len(chunk) == 0
@@ -235,23 +237,23 @@ def test_engine_needs_neither_ros_nor_rerun_nor_matplotlib() -> None:
 
 
 @pytest.fixture
-def pressed() -> dict[str, Any]:
+def pressed() -> Checkpoint:
     """A state in which both bearings are pressed in deep, in contacts that began as slowly as can be."""
     checkpoint = Engine(parameters(model="compared", operation__speed=200.0)).checkpoint()
     depth = parameters().bearings.driving.clearance + 3e-6
     # The line of centres turns by 2 depth / a_s; keep the teeth 1 um apart all the same.
     turned = 2.0 * depth * math.cos(parameters().gears.pressure_angle) - 1e-6
-    checkpoint["state"] |= {
+    changed = {
         "y": [-depth, depth],
-        "u": checkpoint["state"]["u"] + turned,
+        "u": checkpoint.state["u"] + turned,
         "flank": 0.0,
         "contact": [1.0, 1.0],
         "impact_speed": [1e-3, 1e-3],
     }
-    return checkpoint
+    return checkpoint._replace(state={**checkpoint.state, **changed})
 
 
-def test_a_slowly_begun_contact_pressed_in_later_stays_exact(pressed: dict[str, Any]) -> None:
+def test_a_slowly_begun_contact_pressed_in_later_stays_exact(pressed: Checkpoint) -> None:
     """Its damping rate, a k_h delta^1.5 / (m v_impact), is several times what RK4 bears in one step."""
     chosen = parameters(model="compared", operation__speed=200.0)
     engine = Engine(chosen)
@@ -324,13 +326,13 @@ def test_an_impact_alone_delivers_its_restitution(model: str) -> None:
     )
     engine = Engine(p)
     start = engine.checkpoint()
-    start["state"] |= {
+    changed = {
         "u": 0.0,
         "y": [p.bearings.driving.clearance - 1e-6, 0.0],
         "vy": [0.1, 0.0],
         "flank": 0.0,
     }
-    engine.restore(start)
+    engine.restore(start._replace(state={**start.state, **changed}))
     ((begin, end, bearing, impact_speed, rebound_speed, peak_force),) = engine.advance(50).impacts
     assert begin == pytest.approx(1e-5, rel=1e-4) and end > begin and bearing == 0.0
     assert impact_speed == pytest.approx(0.1, rel=1e-4)

@@ -13,8 +13,10 @@ from gear_dynamics_ros.messages.cdr import deserialize
 from gear_dynamics_ros.messages.decoder import applied_commands, waveform_samples
 from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters, updated
+from gear_dynamics_ros.physics.advice import parameter_warnings
+from gear_dynamics_ros.simulation.checkpoint import Checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
-from gear_dynamics_ros.simulation.run import Run, advice
+from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.topics import TOPICS
 from support.sinks import Keeper
 
@@ -118,14 +120,14 @@ def test_a_restored_state_goes_on_after_the_end_and_is_told_whole():
         run.step(Commands(190.0, 30.0, 1600.0))
     ended = run.checkpoint()
     with pytest.raises(GearboxError, match="had ended: take an earlier one"):
-        run.restore(ended)
+        run.resume(ended)
     assert run.checkpoint() == ended and run.end
-    run.restore(checkpoint, "as asked")
+    run.resume(checkpoint, "as asked")
     assert (run.end, run.tripped) == ("", False)
-    assert run.step().first_sample == ended["sample"]
+    assert run.step().first_sample == ended.sample
     _, message = keeper.of("event")[-1]
-    assert json.loads(message.data)["checkpoint"] == checkpoint
-    assert keeper.applied[-1] == (ended["sample"], Commands(30.0, 30.0, 1623.156))
+    assert Checkpoint.from_tree(json.loads(message.data)["checkpoint"]) == checkpoint
+    assert keeper.applied[-1] == (ended.sample, Commands(30.0, 30.0, 1623.156))
 
 
 def test_over_speed_ends_the_run_and_a_reset_recovers():
@@ -171,11 +173,13 @@ def test_a_sink_attached_later_learns_the_commands_in_force():
 
 def test_unbalanced_torques_are_named_with_the_acceleration_they_cause():
     torque = {"operation.control": "torque"}
-    assert advice(Parameters.from_flat(torque)) == []
-    assert advice(Parameters.from_flat({"operation.drive_torque": 31.0})) == []
-    (line,) = advice(Parameters.from_flat({**torque, "operation.drive_torque": 31.0}))
+    assert parameter_warnings(Parameters.from_flat(torque)) == []
+    assert parameter_warnings(Parameters.from_flat({"operation.drive_torque": 31.0})) == []
+    (line,) = parameter_warnings(Parameters.from_flat({**torque, "operation.drive_torque": 31.0}))
     assert "operation.drive_torque = 31" in line and "224.2 rad/s^2" in line
     assert (
-        advice(Parameters.from_flat({**torque, "operation.drive_torque": 15.0, "gears.driven.teeth": 80}))
+        parameter_warnings(
+            Parameters.from_flat({**torque, "operation.drive_torque": 15.0, "gears.driven.teeth": 80})
+        )
         == []
     )

@@ -91,7 +91,7 @@ def record_everything(path: Path) -> Made:
     parameters = Parameters.from_flat({"operation.control": "torque", "recording.checkpoint_interval": 0.025})
     engine = Engine(parameters)
     encoder = Encoder(parameters, EPOCH_NS)
-    recorder, kept = Recorder(path, parameters, engine.checkpoint(), EPOCH_NS), _Kept()
+    recorder, kept = Recorder(path, engine.checkpoint(), EPOCH_NS), _Kept()
     sink = RecorderSink(recorder, engine)
     run = Run(engine, encoder, [sink, kept])
     run.emit(extra_records(encoder))

@@ -183,7 +183,7 @@ def simulated_restitution(eta: float, law: str, step: float = 1e-6) -> float:
     chunk = engine.advance(50)
     if chunk.counters.impacts != 1 or chunk["driving_penetration"][-1] > 0.0:
         raise AssertionError("the impact is not over")
-    return -float(engine.checkpoint()["state"]["vy"][0]) / speed
+    return -float(engine.checkpoint().state["vy"][0]) / speed
 
 
 def restitution() -> Iterator[Measurement]:
@@ -315,9 +315,9 @@ def mean_mesh_force() -> Iterator[Measurement]:
             p = flat({"operation.control": "torque"}, {"model": model, **switches})
             engine = Engine(p)
             samples = round(1.0 / p.solver.sample_interval)
-            before = engine.checkpoint()["state"]["mesh_impulse"]
+            before = engine.checkpoint().state["mesh_impulse"]
             engine.advance(samples)
-            impulse = engine.checkpoint()["state"]["mesh_impulse"] - before
+            impulse = engine.checkpoint().state["mesh_impulse"] - before
             mean = impulse / (samples * p.solver.sample_interval)
             expected = p.operation.drive_torque / derived.base_radii(p)[0]
             yield relative(f"mean mesh force over 1 s, {model}, {name}", mean, expected, 5e-4, "N")
@@ -374,10 +374,10 @@ def energy_drift(step: float) -> float:
         },
     )
     engine = Engine(p)
-    energies = [vibration_energy(p, engine.checkpoint()["state"])]
+    energies = [vibration_energy(p, engine.checkpoint().state)]
     for _ in range(200):
         engine.advance(10)
-        energies.append(vibration_energy(p, engine.checkpoint()["state"]))
+        energies.append(vibration_energy(p, engine.checkpoint().state))
     conserved, vibration = np.array(energies).T
     return float(np.abs(conserved - conserved[0]).max() / vibration.max())
 

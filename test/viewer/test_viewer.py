@@ -19,8 +19,8 @@ from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.viewer import Viewer, open_viewer
-from gear_dynamics_ros.viewer.decimation import extremes
-from gear_dynamics_ros.viewer.stream import contiguous
+from gear_dynamics_ros.viewer.decimation import extreme_indices
+from gear_dynamics_ros.viewer.stream import contiguous_blocks
 from support.domains import free_port
 from support.processes import until
 from support.rerun_files import Rerun, rows_of
@@ -235,7 +235,7 @@ def test_what_comes_after_the_end_is_dropped_and_counted(chunks: list[Chunk], tm
 
 @pytest.mark.parametrize("url", ["rerun://nowhere", "rerun+http://127.0.0.1:port/proxy"])
 def test_addresses_without_a_port_are_refused(url: str) -> None:
-    with pytest.raises(UsageError, match=r"rerun\.url .* is no address of a viewer"):
+    with pytest.raises(UsageError, match=r"rerun\.url .* is not the address of a viewer"):
         Viewer(made_for("connect", url=url))
 
 
@@ -264,7 +264,7 @@ def test_without_rerun_one_clear_line_says_so() -> None:
 def test_decimation_keeps_every_peak() -> None:
     values = np.sin(np.arange(1234) * 0.37)
     values[[17, 700, 1230]] = 5.0, -5.0, 7.0
-    kept = extremes(values, 100)
+    kept = extreme_indices(values, 100)
     assert np.all(np.diff(kept) > 0)
     assert {17, 700, 1230} <= set(kept.tolist())
     assert len(kept) == 26
@@ -274,11 +274,11 @@ def test_decimation_keeps_every_peak() -> None:
 
 
 def test_decimation_of_little_and_of_constants() -> None:
-    assert extremes(np.empty(0), 10).tolist() == []
-    assert extremes(np.ones(25), 10).tolist() == [0, 10, 20]
+    assert extreme_indices(np.empty(0), 10).tolist() == []
+    assert extreme_indices(np.ones(25), 10).tolist() == [0, 10, 20]
 
 
 def test_a_dropped_chunk_leaves_a_gap(chunks: list[Chunk]) -> None:
-    runs = contiguous([*chunks[:3], *chunks[5:7]])
+    runs = contiguous_blocks([*chunks[:3], *chunks[5:7]])
     assert [len(run) for run in runs] == [3 * len(chunks[0]), 2 * len(chunks[0])]
     np.testing.assert_array_equal(runs[1][0], chunks[5].samples[0])

@@ -1,0 +1,41 @@
+"""ROS 2 messages and CDR, without ROS."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_typestore
+
+from gear_dynamics_ros.errors import GearboxError
+
+TYPESTORE: Final = get_typestore(Stores.ROS2_JAZZY)
+
+
+def serialize(type_name: str, message: Any) -> bytes:
+    """CDR (little endian, with its header) of a rosbags message."""
+    return bytes(TYPESTORE.serialize_cdr(message, type_name))
+
+
+def deserialize(type_name: str, data: bytes | memoryview) -> Any:
+    """Message of the type ``type_name`` from CDR. Raises GearboxError if ``data`` hold none."""
+    try:
+        return TYPESTORE.deserialize_cdr(data, type_name)
+    except SerdeError as error:
+        raise GearboxError(f"no CDR of {type_name}: {error}") from error
+
+
+def message_class(type_name: str) -> Any:
+    """Class whose instances ``serialize`` takes; fields as in the ROS message, arrays as NumPy's."""
+    return TYPESTORE.types[type_name]
+
+
+def stamp(time_ns: int) -> Any:
+    """builtin_interfaces/Time of an integer of nanoseconds."""
+    seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
+    return message_class("builtin_interfaces/msg/Time")(sec=seconds, nanosec=nanoseconds)
+
+
+def stamp_ns(time: Any) -> int:
+    """Integer of nanoseconds of a builtin_interfaces/Time."""
+    return int(time.sec) * 1_000_000_000 + int(time.nanosec)

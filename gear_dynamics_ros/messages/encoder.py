@@ -1,0 +1,250 @@
+"""Chunks, commands and events as ROS 2 messages in CDR, without ROS: what is published is recorded."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gear_dynamics_ros.channels import (
+    CHANNELS,
+    COLUMN,
+    ENERGIES,
+    IMPACTS,
+    PACE,
+)
+from gear_dynamics_ros.chunk import Chunk, Commands, Counters
+from gear_dynamics_ros.messages.cdr import message_class, serialize, stamp
+from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.topics import ARRAY, CLOCK, JOINT_STATE, STRING, WRENCH
+
+
+class Record(NamedTuple):
+    """One message, ready to be published and recorded."""
+
+    topic: str  # key in TOPICS
+    time_ns: int
+    data: bytes
+
+
+def bearing_frame(prefix: str, gear: str) -> str:
+    """Frame of the bearing of ``gear``, driving or driven; ``prefix`` is joint_prefix."""
+    return f"{prefix}{gear}_bearing"
+
+
+def waveform_message(names: Sequence[str], samples: NDArray[np.float64], row: str = "sample") -> Any:
+    """Float64MultiArray of samples (n, len(names)); ``row`` says what one row is."""
+    dimension = message_class("std_msgs/msg/MultiArrayDimension")
+    rows, columns = samples.shape
+    layout = message_class("std_msgs/msg/MultiArrayLayout")(
+        dim=[
+            dimension(label=row, size=rows, stride=rows * columns),
+            dimension(label=",".join(names), size=columns, stride=columns),
+        ],
+        data_offset=0,
+    )
+    return message_class(ARRAY)(layout=layout, data=samples.reshape(-1))
+
+
+def joint_state(
+    time_ns: int,
+    names: Iterable[str],
+    position: Sequence[float],
+    velocity: Sequence[float],
+    effort: Sequence[float],
+) -> Any:
+    """JointState; each of the three sequences may be empty."""
+    return message_class(JOINT_STATE)(
+        header=_header(time_ns, ""),
+        name=list(names),
+        position=np.array(position, dtype=np.float64),
+        velocity=np.array(velocity, dtype=np.float64),
+        effort=np.array(effort, dtype=np.float64),
+    )
+
+
+class Encoder:
+    """Makes the messages of one node's run.
+
+    Stamps are ``epoch_ns`` plus simulated time.
+    """
+
+    def __init__(self, parameters: Parameters, epoch_ns: int) -> None:
+        prefix = parameters.joint_prefix
+        self._epoch_ns = epoch_ns
+        self._interval_ns = parameters.solver.sample_interval_ns
+        self._shafts = (f"{prefix}driving", f"{prefix}driven")
+        self._joints = (*self._shafts, f"{prefix}mesh")
+        self._channels = tuple(parameters.waveform_channels)
+        self._columns = [COLUMN[name] for name in self._channels]
+        self._all_channels = self._columns in (list(range(len(CHANNELS))), list(range(len(COLUMN))))
+        self._waveform = _Packer("sample", self._channels)
+        self._energy = _Packer("sample", [energy.name for energy in ENERGIES])
+        self._clock_ns = round(1e9 / parameters.clock_rate) if parameters.clock_rate > 0.0 else 0
+        self._impacts = _Packer("impact", [entry.name for entry in IMPACTS])
+        self._pacing = _Packer("report", [entry.name for entry in PACE])
+        self._joint_state = _Stamped(_still(self._joints), _JOINT_NUMBERS)
+        self._bearings = {
+            gear: _Stamped(_no_force(bearing_frame(prefix, gear)), _FORCE_AND_TORQUE)
+            for gear in ("driving", "driven")
+        }
+
+    def chunk(self, chunk: Chunk) -> list[Record]:
+        """All messages of one chunk, stamped at its last sample; none of a chunk without samples."""
+        if not len(chunk):
+            return []
+        time_ns = self._epoch_ns + chunk.last_ns
+        last = dict(zip(COLUMN, chunk.samples[-1].tolist(), strict=False))
+        payloads = {
+            "joint_states": self._joint_states(time_ns, last, chunk.angles[-1].tolist()),
+            "dte": _float64(last["dte"]),
+            "mesh_force": _float64(last["mesh_force"]),
+            "pressure_angle": _float64(last["pressure_angle"]),
+            "driving_bearing_force": self._bearing_force(time_ns, last, "driving"),
+            "driven_bearing_force": self._bearing_force(time_ns, last, "driven"),
+            "meshing_state": _int8(_flank(last["meshing_state"])),
+            "energy": self._energy.pack(chunk.energies[None, :]),
+        }
+        if len(chunk.impacts):
+            payloads["impacts"] = self._impacts.pack(chunk.impacts)
+        if self._ticks(chunk):
+            payloads["clock"] = serialize(CLOCK, message_class(CLOCK)(clock=stamp(time_ns)))
+        payloads["waveform"] = self._waveform.pack(self._picked(chunk.samples))
+        return [Record(topic, time_ns, data) for topic, data in payloads.items()]
+
+    def applied(self, commands: Commands, sample: int) -> Record:
+        """Commands in force from ``sample`` on."""
+        time_ns = self._epoch_ns + sample * self._interval_ns
+        message = joint_state(
+            time_ns,
+            self._shafts,
+            (),
+            (commands.speed, math.nan),
+            (commands.drive_torque, commands.load_torque),
+        )
+        return Record("applied_command", time_ns, serialize(JOINT_STATE, message))
+
+    def event(
+        self, kind: str, sample: int, message: str, counters: Counters, **details: Mapping[str, Any]
+    ) -> Record:
+        """An operator event (reset, pause, resume, end ...) that happened before ``sample`` was made.
+
+        ``details`` are entries of its own, such as the parameters that changed.
+        """
+        elapsed_ns = sample * self._interval_ns
+        content = {"sample": sample, "time": elapsed_ns / 1e9, "event": kind, "message": message}
+        text = json.dumps(content | {"counters": counters._asdict()} | details)
+        data = serialize(STRING, message_class(STRING)(data=text))
+        return Record("event", self._epoch_ns + elapsed_ns, data)
+
+    def pacing(self, time_ns: int, row: Sequence[float]) -> Record:
+        """A row of PACE."""
+        data = self._pacing.pack(np.array([row], dtype=np.float64))
+        return Record("pacing", time_ns, data)
+
+    def model_info(self, time_ns: int, text: str) -> Record:
+        """Description of the model from ``time_ns`` on."""
+        return Record("model_info", time_ns, serialize(STRING, message_class(STRING)(data=text)))
+
+    def _ticks(self, chunk: Chunk) -> bool:
+        """Whether a multiple of 1/clock_rate lies in the chunk: that does not depend on where a run began."""
+        if not self._clock_ns:
+            return False
+        next_tick_ns = -(-chunk.start_ns // self._clock_ns) * self._clock_ns
+        return next_tick_ns < chunk.start_ns + len(chunk) * chunk.interval_ns
+
+    def _joint_states(self, time_ns: int, last: dict[str, float], angles: list[float]) -> bytes:
+        return self._joint_state.pack(
+            time_ns,
+            *angles,
+            last["dte"],
+            len(self._joints),
+            last["driving_speed"],
+            last["driven_speed"],
+            last["dte_rate"],
+            len(self._joints),
+            last["drive_torque"],
+            last["load_torque"],
+            last["mesh_force"],
+        )
+
+    def _bearing_force(self, time_ns: int, last: dict[str, float], gear: str) -> bytes:
+        return self._bearings[gear].pack(
+            time_ns,
+            last[f"{gear}_contact_force_x"] + last[f"{gear}_film_force_x"],
+            last[f"{gear}_contact_force_y"] + last[f"{gear}_film_force_y"],
+            *_NO_MORE,
+        )
+
+    def _picked(self, samples: NDArray[np.float64]) -> NDArray[np.float64]:
+        return samples if self._all_channels else np.ascontiguousarray(samples[:, self._columns])
+
+
+class _Packer:
+    """Makes CDR of rows under fixed names; what precedes the numbers is made once for each count of rows."""
+
+    def __init__(self, row: str, names: Sequence[str]) -> None:
+        self._row = row
+        self._names = names
+        self._prefixes: dict[int, bytes] = {}
+
+    def pack(self, rows: NDArray[np.float64]) -> bytes:
+        prefix = self._prefixes.get(len(rows))
+        if prefix is None:
+            whole = serialize(ARRAY, waveform_message(self._names, rows, self._row))
+            prefix = self._prefixes[len(rows)] = whole[: len(whole) - rows.nbytes]
+        # NumPy's own order may be another than the little endian that the CDR header promises
+        return b"".join((prefix, rows.astype("<f8", order="C", copy=False).data))
+
+
+class _Stamped:
+    """Makes CDR of a message that is constant but for its header's stamp and the numbers at its end."""
+
+    def __init__(self, example: bytes, numbers: str) -> None:
+        """``numbers`` is their struct format; all else is taken from ``example``."""
+        self._constant = example[_STAMP_END : len(example) - struct.calcsize(f"<{numbers}")]
+        self._whole = struct.Struct(f"<4siI{len(self._constant)}s{numbers}")
+
+    def pack(self, time_ns: int, *numbers: float) -> bytes:
+        return self._whole.pack(_CDR_LITTLE_ENDIAN, *divmod(time_ns, 1_000_000_000), self._constant, *numbers)
+
+
+# What every chunk brings is packed by hand: the general serialiser costs several times as much.
+_CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+_STAMP_END = len(_CDR_LITTLE_ENDIAN) + 8
+# Position, velocity and effort; before the latter their count and its padding to eight bytes.
+_JOINT_NUMBERS = "3dQ3dQ3d"
+_FORCE_AND_TORQUE = "6d"
+_NO_MORE = (0.0,) * 4  # force along z, torques
+
+
+def _float64(value: float) -> bytes:
+    return _CDR_LITTLE_ENDIAN + struct.pack("<d", value)
+
+
+def _int8(value: int) -> bytes:
+    return _CDR_LITTLE_ENDIAN + struct.pack("<b", value)
+
+
+def _flank(state: float) -> int:
+    return int(state) if math.isfinite(state) else 0
+
+
+def _header(time_ns: int, frame_id: str) -> Any:
+    return message_class("std_msgs/msg/Header")(stamp=stamp(time_ns), frame_id=frame_id)
+
+
+def _still(joints: Sequence[str]) -> bytes:
+    zeros = [0.0] * len(joints)
+    return serialize(JOINT_STATE, joint_state(0, joints, zeros, zeros, zeros))
+
+
+def _no_force(frame_id: str) -> bytes:
+    zero = message_class("geometry_msgs/msg/Vector3")(x=0.0, y=0.0, z=0.0)
+    wrench = message_class("geometry_msgs/msg/Wrench")(force=zero, torque=zero)
+    return serialize(WRENCH, message_class(WRENCH)(header=_header(0, frame_id), wrench=wrench))

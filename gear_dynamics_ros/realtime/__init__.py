@@ -1,0 +1,1 @@
+"""A run at the pace of the wall clock: no ROS."""

@@ -1,0 +1,133 @@
+"""Condition of the machine over the last second of simulated time: meshing, transmission error, bearings."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import deque
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gear_dynamics_ros.channels import COLUMN, ENERGIES
+from gear_dynamics_ros.chunk import Chunk
+from gear_dynamics_ros.messages.encoder import Record
+
+STRETCHES: Final = 50
+STRETCH_NS: Final = 20_000_000
+_MESH_LOSS: Final = [energy.name for energy in ENERGIES].index("mesh_loss")
+
+
+class Condition(NamedTuple):
+    """What the samples of the last second of simulated time show."""
+
+    span: float  # s looked at; less than a second after the start, a reset or a restore
+    dte_mean: float  # m, of the dynamic transmission error
+    dte_rms: float  # m, its mean included
+    drive_share: float  # of the samples, with the drive flanks in mesh
+    apart_share: float  # loss of contact
+    back_share: float
+    driving_peak_force: float  # N, greatest bearing force, contact and film
+    driven_peak_force: float  # N
+    drive_power: float  # W, mean power of the drive torque
+    mesh_loss: float  # W, mean power lost in the mesh
+
+
+class _Stretch(NamedTuple):
+    samples: int
+    time_ns: int
+    dte_sum: float
+    dte_squares: float
+    drive: int
+    back: int
+    peaks: tuple[float, float]
+    drive_work: float  # J
+    mesh_loss: float  # J
+
+
+class ConditionSink:
+    """Follows a run; ``report`` may be called from another thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._stretches: deque[_Stretch] = deque(maxlen=STRETCHES)
+        self._chunks: list[Chunk] = []
+        self._mesh_loss = 0.0  # J at the end of the last stretch
+
+    def write(self, chunk: Chunk | None, _: Sequence[Record]) -> None:
+        if chunk is None or not len(chunk):
+            return
+        self._chunks.append(chunk)
+        # Some chunks are looked at together: each alone would pay for a dozen calls of NumPy, and many
+        # together would make the one late that they are added up in.
+        if chunk.last_ns - self._chunks[0].start_ns + chunk.interval_ns >= STRETCH_NS:
+            stretch = self._summary()
+            with self._lock:
+                self._stretches.append(stretch)
+
+    def close(self) -> None:
+        """Nothing to finish."""
+
+    def clear(self, mesh_loss: float) -> None:
+        """Forget what was before a reset or a restore, after which the ledger goes on at ``mesh_loss`` J.
+
+        On the thread that writes.
+        """
+        self._chunks.clear()
+        self._mesh_loss = mesh_loss
+        with self._lock:
+            self._stretches.clear()
+
+    def report(self) -> Condition | None:
+        """Figures of the last second; None before the first stretch of it."""
+        with self._lock:
+            found = list(self._stretches)
+        if not found:
+            return None
+        samples = sum(stretch.samples for stretch in found)
+        span = sum(stretch.time_ns for stretch in found) * 1e-9
+        mean = math.fsum(stretch.dte_sum for stretch in found) / samples
+        square = sum(stretch.dte_squares for stretch in found) / samples
+        drive = sum(stretch.drive for stretch in found) / samples
+        back = sum(stretch.back for stretch in found) / samples
+        return Condition(
+            span=span,
+            dte_mean=mean,
+            dte_rms=math.sqrt(square),
+            drive_share=drive,
+            apart_share=1.0 - drive - back,
+            back_share=back,
+            driving_peak_force=max(stretch.peaks[0] for stretch in found),
+            driven_peak_force=max(stretch.peaks[1] for stretch in found),
+            drive_power=sum(stretch.drive_work for stretch in found) / span,
+            mesh_loss=sum(stretch.mesh_loss for stretch in found) / span,
+        )
+
+    def _summary(self) -> _Stretch:
+        chunks, self._chunks = self._chunks, []
+        rows = np.concatenate([chunk.samples for chunk in chunks])
+        dte, state = rows[:, COLUMN["dte"]], rows[:, COLUMN["meshing_state"]]
+        interval = chunks[0].interval_ns * 1e-9
+        power = np.dot(rows[:, COLUMN["drive_torque"]], rows[:, COLUMN["driving_speed"]])
+        before, self._mesh_loss = self._mesh_loss, float(chunks[-1].energies[_MESH_LOSS])
+        return _Stretch(
+            samples=len(rows),
+            time_ns=len(rows) * chunks[0].interval_ns,
+            dte_sum=float(dte.sum()),
+            dte_squares=float(np.dot(dte, dte)),
+            drive=int(np.count_nonzero(state > 0.0)),
+            back=int(np.count_nonzero(state < 0.0)),
+            peaks=(_peak_force(rows, "driving"), _peak_force(rows, "driven")),
+            drive_work=float(power) * interval,
+            mesh_loss=self._mesh_loss - before,
+        )
+
+
+def _peak_force(rows: NDArray[np.float64], gear: str) -> float:
+    x, y = (
+        rows[:, COLUMN[f"{gear}_contact_force_{axis}"]] + rows[:, COLUMN[f"{gear}_film_force_{axis}"]]
+        for axis in ("x", "y")
+    )
+    return float(np.sqrt((x * x + y * y).max()))

@@ -1,0 +1,51 @@
+"""What the model is, as ``~/model_info`` tells it: enough to read every other topic without this package."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+
+from gear_dynamics_ros import __version__
+from gear_dynamics_ros.channels import (
+    CHANNELS,
+    ENERGIES,
+    IMPACTS,
+    PACE,
+    Channel,
+)
+from gear_dynamics_ros.messages.encoder import bearing_frame
+from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.simulation.engine import kernel_hash
+from gear_dynamics_ros.topics import TOPICS, resolve
+
+
+def describe(parameters: Parameters, epoch_ns: int, node: str) -> str:
+    """JSON text; ``epoch_ns`` is the ROS time of simulated time 0, ``node`` the full name."""
+    prefix = parameters.joint_prefix
+    named = {entry.name: entry for entry in (*CHANNELS, *ENERGIES)}
+    solver = parameters.solver
+    return json.dumps(
+        {
+            "package": "gear_dynamics_ros",
+            "version": __version__,
+            "kernel_hash": kernel_hash(),
+            "epoch_ns": epoch_ns,
+            "sample_interval_ns": solver.sample_interval_ns,
+            "samples_per_chunk": solver.samples_per_chunk,
+            "joints": [f"{prefix}{name}" for name in ("driving", "driven", "mesh")],
+            "frames": [bearing_frame(prefix, gear) for gear in ("driving", "driven")],
+            "waveform": _columns(named[name] for name in parameters.waveform_channels),
+            "energy": _columns(ENERGIES),
+            "impacts": _columns(IMPACTS),
+            "pacing": _columns(PACE),
+            "topics": {
+                resolve(topic, node): {"type": topic.type, "content": topic.content}
+                for topic in TOPICS.values()
+            },
+            "parameters": parameters.to_flat(),
+        }
+    )
+
+
+def _columns(entries: Iterable[Channel]) -> list[dict[str, str]]:
+    return [entry._asdict() for entry in entries]

@@ -1,0 +1,207 @@
+"""What a recording holds as tables of named columns, block by block."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gear_dynamics_ros.channels import (
+    CHANNELS,
+    ENERGIES,
+    IMPACTS,
+    Channel,
+)
+from gear_dynamics_ros.chunk import Commands, Counters
+from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.events import OperatorEvent
+from gear_dynamics_ros.recording.reader import BLOCK_SAMPLES, Recording
+
+NUMBER: Final = "<f8"
+INTEGER: Final = "<i8"
+TEXT: Final = "O"
+
+
+class Column(NamedTuple):
+    """One column: its name, unit and meaning, and the NumPy type of its entries."""
+
+    name: str
+    unit: str
+    meaning: str
+    type: str  # NUMBER, INTEGER or TEXT
+
+
+class Block(NamedTuple):
+    """Some rows, a structured array with a field for each column, and up to which sample that is all."""
+
+    rows: NDArray[Any]
+    beyond: int
+
+
+class Table(NamedTuple):
+    """Columns, and the blocks of rows in their order, each made when it is asked for."""
+
+    columns: tuple[Column, ...]
+    blocks: Iterator[Block]
+
+    @property
+    def dtype(self) -> np.dtype[np.void]:
+        """Type of a row."""
+        return row_type(self.columns)
+
+
+def row_type(columns: Sequence[Column]) -> np.dtype[np.void]:
+    """Structured NumPy type with a field for each column."""
+    return np.dtype([(column.name, column.type) for column in columns])
+
+
+def waveform(
+    recording: Recording, start: float | None, end: float | None, channels: Sequence[str] | None
+) -> Table:
+    """Every sample at times in [start, end) s: its index and time first, then ``channels`` (default: all).
+
+    Raises UsageError on a channel that is not there or is named twice, and on a window without samples;
+    GearboxError if the whole recording has none.
+    """
+    first, beyond = recording.require_window(start, end)
+    if first == beyond:
+        raise GearboxError(f"{recording.path} holds no samples: nothing to export")
+    wanted = recording.channel_names if channels is None else tuple(channels)
+    for name in wanted:
+        if wanted.count(name) > 1:
+            raise UsageError(f"the channel '{name}' is named {wanted.count(name)} times: name it once")
+    names = ("time", *(name for name in wanted if name != "time"))
+    recording.columns(names)
+    known = {channel.name: channel for channel in (*CHANNELS, *ENERGIES)}
+    columns = (SAMPLE, *(_number(known[name]) for name in names))
+    return Table(columns, _waveform_blocks(recording, first, beyond, names, row_type(columns)))
+
+
+def impacts(recording: Recording, start: float | None, end: float | None) -> Table:
+    """Bearing contacts that ended at times in [start, end) s."""
+    recording.require_window(start, end)
+    columns = tuple(map(_number, IMPACTS))
+    low, high = -math.inf if start is None else start, math.inf if end is None else end
+    return Table(columns, _impact_blocks(recording, low, high, row_type(columns)))
+
+
+def energy(recording: Recording, start: float | None, end: float | None) -> Table:
+    """Works, losses and stored energies at the end of each chunk; ``sample`` is the next to be made."""
+    columns = (SAMPLE, TIME, *map(_number, ENERGIES))
+    return Table(columns, _energy_blocks(recording, _inside(recording, start, end), row_type(columns)))
+
+
+def commands(recording: Recording, start: float | None, end: float | None) -> Table:
+    """Commands at times in [start, end) s, each in force from its sample on."""
+    columns = (SAMPLE, TIME, *COMMANDS)
+    inside = _inside(recording, start, end)
+    rows = ((sample, _time(recording, sample), *values) for sample, values in recording.commands)
+    return Table(columns, _listed(recording, (row for row in rows if inside(row[0])), row_type(columns)))
+
+
+def events(recording: Recording, start: float | None, end: float | None) -> Table:
+    """Events at times in [start, end) s; without the state that a restore brought."""
+    inside = _inside(recording, start, end)
+    found = [event for event in recording.events if inside(event.sample)]
+    columns = (SAMPLE, TIME, *HAPPENING, *COUNTERS)
+    rows = (_event_row(event) for event in found)
+    return Table(columns, _listed(recording, rows, row_type(columns)))
+
+
+SAMPLE: Final = Column("sample", "", "index of the sample, counted from the start of the run", INTEGER)
+TIME: Final = Column("time", "s", "simulated time", NUMBER)
+COMMANDS: Final = tuple(
+    Column(name, unit, "commanded", NUMBER)
+    for name, unit in zip(Commands._fields, ("N m", "N m", "rad/s"), strict=True)
+)
+HAPPENING: Final = (
+    Column("event", "", "what happened before the sample was made", TEXT),
+    Column("message", "", "why", TEXT),
+    Column("parameters", "", "JSON: parameters that changed, by dotted name", TEXT),
+)
+COUNTERS: Final = tuple(
+    Column(f"counted_{name}", "", f"{name} since the start of the run", INTEGER) for name in Counters._fields
+)
+OTHERS: Final[Mapping[str, Callable[[Recording, float | None, float | None], Table]]] = {
+    "impacts": impacts,
+    "commands": commands,
+    "events": events,
+    "energy": energy,
+}
+WAVEFORM: Final = "waveform"
+NAMES: Final = (WAVEFORM, *OTHERS)
+
+
+def _number(channel: Channel) -> Column:
+    return Column(*channel, NUMBER)
+
+
+def _time(recording: Recording, sample: int) -> float:
+    return sample * recording.sample_interval_ns / 1e9
+
+
+def _inside(recording: Recording, start: float | None, end: float | None) -> Callable[[int], bool]:
+    """Whether a sample, which may be the one after the last, is at a time in [start, end)."""
+    recording.require_window(start, end)
+    low = -sys.maxsize if start is None else recording.sample_at(start)
+    high = sys.maxsize if end is None else recording.sample_at(end)
+    return lambda sample: low <= sample < high
+
+
+def _waveform_blocks(
+    recording: Recording, first: int, beyond: int, names: Sequence[str], dtype: np.dtype[np.void]
+) -> Iterator[Block]:
+    for samples in recording.pieces(first, beyond, names):
+        end = samples.first + len(samples)
+        yield Block(_rows(np.arange(samples.first, end), samples.values, dtype), end)
+
+
+def _impact_blocks(
+    recording: Recording, low: float, high: float, dtype: np.dtype[np.void]
+) -> Iterator[Block]:
+    for time_ns, values in recording.rows("impacts"):
+        ends = values[:, 1]
+        kept = np.ascontiguousarray(values[(ends >= low) & (ends < high)])
+        yield Block(kept.view(dtype)[:, 0], recording.sample_of(time_ns) + 1)
+
+
+def _energy_blocks(
+    recording: Recording, inside: Callable[[int], bool], dtype: np.dtype[np.void]
+) -> Iterator[Block]:
+    for time_ns, values in recording.rows("energy"):
+        sample = recording.sample_of(time_ns) + 1
+        if inside(sample):
+            timed = np.column_stack([[_time(recording, sample)], values])
+            yield Block(_rows(np.array([sample]), timed, dtype), sample)
+
+
+def _rows(
+    samples: NDArray[np.int64], values: NDArray[np.float64], dtype: np.dtype[np.void]
+) -> NDArray[np.void]:
+    """Rows of indexes (n,) and what follows them (n, k), all of eight bytes."""
+    rows = np.empty((len(values), 1 + values.shape[1]))
+    rows.view(np.int64)[:, 0] = samples
+    rows[:, 1:] = values
+    return rows.view(dtype)[:, 0]
+
+
+def _listed(
+    recording: Recording, rows: Iterable[tuple[Any, ...]], dtype: np.dtype[np.void]
+) -> Iterator[Block]:
+    waiting: list[tuple[Any, ...]] = []
+    for row in rows:
+        waiting.append(row)
+        if len(waiting) == BLOCK_SAMPLES:
+            yield Block(np.array(waiting, dtype=dtype), row[0])
+            waiting = []
+    yield Block(np.array(waiting, dtype=dtype), recording.end_sample)
+
+
+def _event_row(event: OperatorEvent) -> tuple[Any, ...]:
+    changed = json.dumps(dict(event.parameters)) if event.parameters else ""
+    return event.sample, event.time, event.kind, event.message, changed, *event.counters

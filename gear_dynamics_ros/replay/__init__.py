@@ -1,0 +1,1 @@
+"""Recordings run again: verified, compared, published."""

@@ -1,0 +1,118 @@
+"""The model, run again through what was recorded, and compared with it chunk by chunk."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Final
+
+from gear_dynamics_ros.chunk import Commands
+from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.events import CHANGE, RESET, RESTORE, TIMEOUT, OperatorEvent
+from gear_dynamics_ros.messages.encoder import Encoder
+from gear_dynamics_ros.parameters import updated
+from gear_dynamics_ros.replay.mismatch import Mismatch, compare_event, compare_message, compare_state
+from gear_dynamics_ros.replay.part_reader import Action, AskedCommands, RecordedChunk
+from gear_dynamics_ros.simulation.checkpoint import Checkpoint
+from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.topics import OF_A_CHUNK
+
+# The waveform tells more than what is taken from it.
+_TELLING: Final = ("waveform", *(topic for topic in OF_A_CHUNK if topic != "waveform"))
+
+
+class Resimulation:
+    """An engine that repeats what was recorded, from the checkpoint ``start`` on.
+
+    Compares the messages of chunks on the topics ``kept`` (keys in TOPICS), stamped from ``epoch_ns`` on.
+    """
+
+    def __init__(self, start: Checkpoint, epoch_ns: int, kept: frozenset[str]) -> None:
+        """Raises GearboxError if ``start`` can't be a state."""
+        self._engine = Engine(start.parameters)
+        self._engine.restore(start)
+        self._engine.command(start.commands)  # which are part of the state too, and must be the same there
+        self._encoder = Encoder(start.parameters, epoch_ns)
+        self._kept = kept
+
+    @property
+    def sample(self) -> int:
+        """The next sample to be made."""
+        return self._engine.sample
+
+    def compare_state(self, stored: Checkpoint) -> Mismatch | None:
+        """Compare where the engine has come with what was stored there."""
+        return compare_state(self._engine, stored)
+
+    def compare_chunk(self, recorded: RecordedChunk) -> Mismatch | None:
+        """Make the chunk, and compare its messages."""
+        try:
+            chunk = self._engine.advance(recorded.samples)
+        except GearboxError as error:
+            return Mismatch(recorded.first, "waveform", f"{recorded.samples} samples", f"none: {error}")
+        made = {record.topic: record.data for record in self._encoder.chunk(chunk)}
+        for topic in _TELLING:
+            difference = compare_message(recorded, topic, made.get(topic) if topic in self._kept else None)
+            if difference is not None:
+                return difference
+        return None
+
+    def act_before(self, actions: deque[Action], sample: int) -> Mismatch | None:
+        """Let act what came before ``sample`` was made, which must be the next one."""
+        if self.sample != sample:
+            return Mismatch(self.sample, "waveform", f"nothing before sample {sample}", "samples")
+        due: deque[Action] = deque()
+        while actions and actions[0][0] <= sample:
+            due.append(actions.popleft())
+        return self.act(due)
+
+    def act(self, actions: deque[Action]) -> Mismatch | None:
+        """Let all ``actions`` act, each of which must be due at the sample that has come.
+
+        The last that was asked of each command must then be in force.
+        """
+        asked: dict[str, tuple[str, float]] = {}
+        for sample, action in actions:
+            if sample != self.sample:
+                return self.misplaced(sample, action)
+            if isinstance(action, Commands):
+                self._engine.command(action)
+            elif isinstance(action, AskedCommands):
+                asked |= {name: (action.topic, value) for name, value in action.changes.items()}
+            else:
+                difference = self._repeat(action)
+                if difference is not None:
+                    return difference
+        return self._unanswered(asked)
+
+    def misplaced(self, sample: int, action: OperatorEvent | Commands | AskedCommands) -> Mismatch:
+        """Of what should have acted where no chunk begins."""
+        what = f"event {action.kind}" if isinstance(action, OperatorEvent) else "commands"
+        return Mismatch(self.sample, what, f"at sample {sample}", "no edge of a chunk there")
+
+    def _unanswered(self, asked: dict[str, tuple[str, float]]) -> Mismatch | None:
+        for name, (topic, value) in asked.items():
+            in_force = getattr(self._engine.commands, name)
+            if value != in_force:
+                return Mismatch(self.sample, f"{topic}: {name}", value, in_force)
+        return None
+
+    def _repeat(self, event: OperatorEvent) -> Mismatch | None:
+        engine = self._engine
+        if event.kind == RESET:
+            engine.reset()
+        elif event.kind == CHANGE:
+            try:
+                engine.change(updated(engine.parameters, event.parameters))
+            except UsageError as error:
+                raise GearboxError(
+                    f"the change of parameters at sample {event.sample} can't be: {error}"
+                ) from error
+        elif event.kind == RESTORE:
+            try:
+                engine.resume(Checkpoint.from_tree(event.checkpoint))
+            except GearboxError as error:
+                raise GearboxError(f"the restore at sample {event.sample} can't be: {error}") from error
+        difference = compare_event(engine, event)
+        if difference is None and event.kind == TIMEOUT:
+            engine.command(engine.commands._replace(**event.commands))
+        return difference

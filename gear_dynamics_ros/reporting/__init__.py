@@ -1,0 +1,1 @@
+"""What a recording contains and what an analysis of it gives, as text and files."""

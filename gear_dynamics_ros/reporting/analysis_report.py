@@ -1,0 +1,148 @@
+"""Analyses a recording and writes the results: a summary, the impacts, and figures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from gear_dynamics_ros.analysis import ledger, summary
+from gear_dynamics_ros.analysis.statistics import Envelope, Statistics, derived_quantities
+from gear_dynamics_ros.chunk import Samples
+from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.events import RESET, RESTORE
+from gear_dynamics_ros.recording import OperatorEvent, Recording
+from gear_dynamics_ros.reporting.windows import change_times, choose_window, whole_span
+from gear_dynamics_ros.system.files import output_file
+
+SUMMARY_FILE: Final = "summary.json"
+IMPACTS_FILE: Final = "impacts.csv"
+
+
+class WholeRun(NamedTuple):
+    """Results of one pass through a whole recording."""
+
+    statistics: Statistics
+    envelope: Envelope
+
+
+class RecordingAnalysis(NamedTuple):
+    """What the summary and the figures of a recording are made from."""
+
+    recording: Recording
+    changes: Sequence[float]  # times of commands and events, s
+    whole: WholeRun
+    window: Samples
+
+
+def analyze_recording(
+    recording: Recording, start: float | None, end: float | None, progress: Callable[[int], None]
+) -> RecordingAnalysis:
+    """Read the whole recording once, and the window from ``start`` to before ``end`` (s) into memory.
+
+    Without both times, the window is the latest steady one. ``progress`` is called with the number of samples
+    read. Raises UsageError if the window can't be used, GearboxError if the recording is empty or damaged.
+    """
+    if recording.end_sample == recording.first_sample:
+        raise GearboxError(f"{recording.path} holds no samples: nothing to analyse")
+    changes = change_times(recording)
+    window = recording.window(*choose_window(recording, changes, start, end))
+    return RecordingAnalysis(recording, changes, _read_whole(recording, progress), window)
+
+
+def write_numbers(analysis: RecordingAnalysis, folder: Path) -> list[Path]:
+    """Write SUMMARY_FILE, and IMPACTS_FILE if energies were recorded, into ``folder``; returns their paths.
+
+    Each file appears whole or not at all. Raises GearboxError if one can't be written or the
+    recording is damaged.
+    """
+    written = [folder / SUMMARY_FILE]
+    found = _describe(analysis)
+    found["energy"], found["impacts"] = _energy_balance(analysis.recording), None
+    # Every chunk has energies, but not every one impacts.
+    if found["energy"] is not None:
+        written.append(folder / IMPACTS_FILE)
+        found["impacts"] = _write_impacts(analysis.recording, written[-1])
+    with output_file(written[0]) as stream:
+        stream.write(f"{json.dumps(found, indent=2, allow_nan=False)}\n".encode())
+    return written
+
+
+def write_figures(
+    analysis: RecordingAnalysis, folder: Path, progress: Callable[[int, int], None]
+) -> list[Path]:
+    """Write the figures whose channels were recorded as PNG into ``folder``; returns their paths.
+
+    Each file appears whole or not at all. ``progress`` is called with the number of figures drawn and that of
+    all. Raises GearboxError if one can't be written.
+    """
+    from gear_dynamics_ros.analysis import figures
+
+    drawings = figures.recording_figures(
+        analysis.whole.envelope, analysis.window, analysis.recording.parameters, analysis.changes
+    )
+    written = []
+    for count, (name, draw) in enumerate(drawings.items(), start=1):
+        written.append(folder / f"{name}.png")
+        with output_file(written[-1]) as stream:
+            figures.write_png(draw(), stream)
+        progress(count, len(drawings))
+    return written
+
+
+def _read_whole(recording: Recording, progress: Callable[[int], None]) -> WholeRun:
+    whole = WholeRun(Statistics(), Envelope())
+    for samples in recording.blocks():
+        columns = derived_quantities(samples)
+        whole.statistics.add(samples, columns)
+        whole.envelope.add(samples, columns)
+        progress(whole.statistics.samples)
+    return whole
+
+
+def _describe(analysis: RecordingAnalysis) -> dict[str, Any]:
+    recording = analysis.recording
+    span = whole_span(recording)
+    return {
+        "recording": str(recording.path),
+        "complete": recording.complete,
+        "version": recording.version,
+        "kernel_hash": recording.kernel_hash,
+        "model": recording.parameters.model,
+        "duration": span.end - span.start,
+        "samples": recording.end_sample - recording.first_sample,
+        "sample_interval": recording.parameters.solver.sample_interval,
+        "commands": len(recording.commands),
+        "events": [_event_to_json(event) for event in recording.events],
+        "run": summary.summarize_statistics(analysis.whole.statistics, span, recording.parameters),
+        "window": summary.summarize_window(analysis.window, recording.parameters),
+    }
+
+
+def _event_to_json(event: OperatorEvent) -> dict[str, Any]:
+    """The event without the checkpoint that a restore brought, which stays in the recording."""
+    entries = event._asdict()
+    del entries["checkpoint"]
+    entries["parameters"] = dict(event.parameters)
+    return entries
+
+
+def _energy_balance(recording: Recording) -> dict[str, Any] | None:
+    """The energy balance over the whole recording, None if it has no energies."""
+    resets = [event.sample for event in recording.events if event.kind in (RESET, RESTORE)]
+    balance = ledger.EnergyLedger(resets)
+    for time_ns, rows in recording.rows("energy"):
+        balance.add(recording.sample_of(time_ns) + 1, rows[0])
+    return balance.to_json(recording.parameters.solver.sample_interval, recording.parameters)
+
+
+def _write_impacts(recording: Recording, path: Path) -> dict[str, Any]:
+    """Write the list of impacts to ``path``; returns the totals by bearing."""
+    totals = ledger.ImpactTotals(recording.parameters.bearings.minimum_impact_speed)
+    with output_file(path) as stream:
+        stream.write(f"{ledger.CSV_HEADER}\n".encode())
+        for _, rows in recording.rows("impacts"):
+            totals.add(rows)
+            stream.write("".join(ledger.csv_lines(rows)).encode())
+    return {"list": path.name, **totals.to_json()}

@@ -1,0 +1,53 @@
+"""What a recording contains, as text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from gear_dynamics_ros.recording import OperatorEvent, Recording
+from gear_dynamics_ros.recording.parts import PartFile
+
+
+def recording_lines(bag: Recording) -> Iterator[str]:
+    """Version, samples, files, topics, commands and events of ``bag``. Reads all of them from its files."""
+    state = (
+        "complete"
+        if bag.complete
+        else "broken off: what was flushed is readable; replay recover makes it complete"
+    )
+    yield f"{bag.path}: {state}"
+    yield f"version {bag.version}, kernel {bag.kernel_hash[:12]}, model {bag.parameters.model}"
+    yield f"made on {bag.run.processor or 'an unknown processor'}"
+    yield (
+        f"{bag.end_sample - bag.first_sample} samples of {len(bag.channel_names)} channels every "
+        f"{bag.sample_interval_ns} ns: {bag.duration_ns / 1e9:.6g} s from "
+        f"{_seconds(bag, bag.first_sample):.6g} s on; {bag.size / 1e6:.1f} MB"
+    )
+    for part in bag.parts:
+        yield f"  {part.path.name}  {_part_text(bag, part)}"
+    for topic in bag.topics:
+        yield f"  {topic.messages:>8}  {topic.name}  {topic.type}"
+    for sample, commands in bag.commands:
+        yield (
+            f"  command at {_seconds(bag, sample):.6f} s (sample {sample}): "
+            f"drive {commands.drive_torque:g} N m, load {commands.load_torque:g} N m, "
+            f"speed {commands.speed:g} rad/s"
+        )
+    for event in bag.events:
+        yield f"  {event.kind} at {event.time:.6f} s (sample {event.sample}) {_event_text(event)}".rstrip()
+
+
+def _seconds(bag: Recording, sample: int) -> float:
+    return sample * bag.sample_interval_ns / 1e9
+
+
+def _part_text(bag: Recording, part: PartFile) -> str:
+    states = len(part.checkpoints)
+    return (
+        f"{part.size / 1e6:.1f} MB from {_seconds(bag, part.first_sample):.6g} s on, "
+        f"{states} checkpoint{'' if states == 1 else 's'}{'' if part.complete else ', broken off'}"
+    )
+
+
+def _event_text(event: OperatorEvent) -> str:
+    return event.message or ", ".join(f"{name} = {value}" for name, value in event.parameters.items())

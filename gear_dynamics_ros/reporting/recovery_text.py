@@ -1,0 +1,73 @@
+"""What a recovery kept and lost, as text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from gear_dynamics_ros.recording.recover import RecoveredPart, Recovery, SampleRange
+
+
+def recovery_lines(report: Recovery) -> Iterator[str]:
+    """What was kept and lost in each file and altogether."""
+    yield f"{report.source}: recovered to {report.target}"
+    for part in report.parts:
+        yield f"  {part.name}  {part.size} bytes  {_state(part)}"
+        yield f"    kept {_kept(part, report)}"
+    for name, reason in report.left_out.items():
+        yield f"  {name}  {reason}: left out"
+    for gap in report.gaps:
+        yield f"missing in between: {gap.end - gap.first} samples, {_times(gap, report)}"
+    if not report.described:
+        yield "metadata.yaml was missing: made anew"
+    yield f"read {report.size} bytes, kept {_kept(report, report)}"
+    yield _verdict(report)
+
+
+def _state(part: RecoveredPart) -> str:
+    spoilt = _spoilt([part])
+    left_out = f"; left out as spoilt: {', '.join(spoilt)}" if spoilt else ""
+    if part.whole:
+        return "whole" if part.finished else "whole but for the index at its end"
+    if part.ended:
+        return f"complete{left_out}"
+    behind = f"the {part.tail} bytes behind it hold no whole record" if part.tail else "nothing is behind it"
+    return f"breaks off at byte {part.break_at}: {behind}{left_out}"
+
+
+def _kept(of: RecoveredPart | Recovery, report: Recovery) -> str:
+    if of.span is None:
+        return f"{of.messages} messages, no samples"
+    return f"{of.messages} messages, {of.samples} samples, {_times(of.span, report)}"
+
+
+def _spoilt(parts: Sequence[RecoveredPart]) -> list[str]:
+    counts = {
+        "chunk": sum(part.spoilt_chunks for part in parts),
+        "attachment": sum(part.spoilt_attachments for part in parts),
+        "metadata record": sum(part.spoilt_metadata for part in parts),
+    }
+    return [f"{count} {what}{'s' if count > 1 else ''}" for what, count in counts.items() if count]
+
+
+def _times(span: SampleRange, report: Recovery) -> str:
+    """First and last sample with their times; if there are samples, their interval is known."""
+    first, last = (sample * (report.sample_interval_ns or 0) / 1e9 for sample in (span.first, span.end - 1))
+    return f"{span.first} to {span.end - 1} ({first:.6f} s to {last:.6f} s)"
+
+
+def _verdict(report: Recovery) -> str:
+    if report.whole:
+        return "nothing was lost"
+    tail = sum(part.tail for part in report.parts)
+    missing = sum(gap.end - gap.first for gap in report.gaps)
+    lost = [
+        *([f"{tail} bytes without a whole record"] if tail else []),
+        *_spoilt(report.parts),
+        *([f"{missing} samples in between"] if missing else []),
+        *([f"{len(report.left_out)} files"] if report.left_out else []),
+    ]
+    told = f"lost: {', '.join(lost)}" if lost else "lost: what had not been flushed"
+    if report.messages:
+        return told
+    spoilt = any(part.spoilt_chunks for part in report.parts)
+    return f"{'no message is whole' if spoilt else 'nothing had been flushed yet'}; {told}"

@@ -1,0 +1,282 @@
+"""The gearbox's health as diagnostic_msgs tells it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from gear_dynamics_ros.chunk import Commands, Counters
+from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.physics.step_check import Check
+from gear_dynamics_ros.realtime.condition import Condition
+from gear_dynamics_ros.realtime.mailbox import Tally
+from gear_dynamics_ros.realtime.pacing import Pace
+from gear_dynamics_ros.realtime.session import Session
+from gear_dynamics_ros.recording.recorder import Stats
+from gear_dynamics_ros.viewer import Viewer
+
+OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
+ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
+FULL_SOON = 60.0  # s of wall time until recording stops for want of room
+UNITS = {"drive_torque": "N m", "load_torque": "N m", "speed": "rad/s"}
+
+
+class RunHealth(NamedTuple):
+    state: str  # running, paused, inactive, ended
+    reason: str  # why it ended
+    time: float  # simulated, s
+    expected: bool  # ended because pacing.duration was reached
+
+
+class CommandHealth(NamedTuple):
+    tally: Tally
+    in_force: Commands
+    crowded: Sequence[str]  # command topics with several publishers
+    timed_out: bool
+
+
+class RecorderHealth(NamedTuple):
+    path: str
+    stats: Stats | None  # None where a recording was wanted and could not begin
+    error: str | None
+
+
+class RingHealth(NamedTuple):
+    held: float  # s, simulated
+    bytes: int
+    snapshot: str  # path of the last one written
+
+
+class ViewerHealth(NamedTuple):
+    queued: int
+    dropped: int
+    error: str | None
+
+
+class Health(NamedTuple):
+    run: RunHealth
+    pace: Pace
+    wanted_factor: float
+    commands: CommandHealth
+    counters: Counters
+    condition: Condition | None
+    recorder: RecorderHealth | None
+    ring: RingHealth | None
+    viewer: ViewerHealth | None
+
+
+def health(session: Session, pace: Pace, viewer: Viewer | None, crowded: Sequence[str]) -> Health:
+    """How everything stands; ``pace`` since the last report, ``crowded`` topics have several publishers."""
+    live = session.live
+    state = (
+        "ended" if live.ended else "inactive" if not live.active else "paused" if live.paused else "running"
+    )
+    tally = live.mailbox.tally(time.monotonic_ns())
+    return Health(
+        run=RunHealth(state, live.ended, live.time, session.completed),
+        pace=pace,
+        wanted_factor=session.parameters.pacing.real_time_factor,
+        commands=CommandHealth(tally, live.run.engine.commands, crowded, live.timed_out),
+        counters=live.counters,
+        condition=session.condition.report(),
+        recorder=_recorder_health(session),
+        ring=_ring_health(session),
+        viewer=None if viewer is None else ViewerHealth(viewer.queued, viewer.dropped, viewer.error),
+    )
+
+
+def _recorder_health(session: Session) -> RecorderHealth | None:
+    recorder = session.recordings.current
+    if recorder is not None:
+        return RecorderHealth(str(recorder.path), recorder.stats, recorder.error)
+    refusal = session.recordings.refusal
+    return RecorderHealth(session.parameters.recording.path, None, refusal) if refusal else None
+
+
+def _ring_health(session: Session) -> RingHealth | None:
+    ring = session.recordings.ring
+    if ring is None:
+        return None
+    held = ring.samples * session.parameters.solver.sample_interval_ns / 1e9
+    return RingHealth(held, ring.size, session.recordings.snapshot_path)
+
+
+class Surface(NamedTuple):
+    """Highest wave of the tooth surfaces beside what the waveform can show, Hz."""
+
+    top_wave: float
+    nyquist: float
+
+
+def surface(parameters: Parameters, speed: float) -> Surface:
+    """The highest surface wave at the driving speed ``speed`` in rad/s."""
+    gears, ladder = parameters.gears, parameters.surface.scale ** (parameters.surface.waves - 1)
+    rough = max(parameters.surface.driving.roughness, parameters.surface.driven.roughness) > 0.0
+    waves = gears.driving.teeth * ladder if rough else 0.0
+    return Surface(waves * abs(speed) / (2.0 * math.pi), 0.5 / parameters.solver.sample_interval)
+
+
+def statuses(name: str, node: str, health: Health, waves: Surface, checks: Sequence[Check]) -> list[Any]:
+    """One DiagnosticStatus a task; ``name`` heads each, ``node`` is the hardware_id."""
+    tasks = {
+        "run": _run(health.run),
+        "pacing": _pacing(health),
+        "commands": _commands(health.commands),
+        "contacts": _contacts(health.counters),
+        "condition": _condition(health.run, health.condition),
+        "step": _step(checks),
+        "waveform": _waveform(waves),
+        "recorder": _recorder(health.recorder, health.ring),
+        "viewer": _viewer(health.viewer),
+    }
+    return [
+        DiagnosticStatus(
+            level=level,
+            name=f"{name}: {task}",
+            message=message,
+            hardware_id=node,
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+        for task, (level, message, values) in tasks.items()
+    ]
+
+
+def array(found: list[Any], time_ns: int) -> Any:
+    """DiagnosticArray stamped ``time_ns``."""
+    message = DiagnosticArray(status=found)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(time_ns, 10**9)
+    return message
+
+
+_Task = tuple[bytes, str, Mapping[str, object]]
+
+
+def _run(run: RunHealth) -> _Task:
+    values = {"state": run.state, "simulated time (s)": f"{run.time:.9g}"}
+    if run.reason and not run.expected:
+        return ERROR, f"{run.reason}; call ~/reset to recover", values
+    return OK, run.reason or run.state, values
+
+
+def _pacing(health: Health) -> _Task:
+    pace = health.pace
+    values = {
+        "real-time factor": f"{pace.real_time_factor:.4g}",
+        "real-time factor wanted": f"{health.wanted_factor:g}",
+        "overruns": pace.overruns,
+        "worst lateness (s)": f"{pace.worst_lateness:.6f}",
+        "slipped (s)": f"{pace.slipped:.6f}",
+    }
+    if health.run.state != "running":
+        return STALE, health.run.state, values
+    if health.wanted_factor > 0.0 and pace.real_time_factor < 0.95 * health.wanted_factor:
+        return WARN, "too slow: lower pacing.real_time_factor or lengthen solver.step", values
+    return OK, "on time" if health.wanted_factor > 0.0 else "as fast as possible", values
+
+
+def _commands(commands: CommandHealth) -> _Task:
+    tally = commands.tally
+    values: dict[str, object] = {
+        "accepted": tally.accepted,
+        "refused": tally.refused,
+        "unrecorded": tally.unrecorded,
+        "last refusal": tally.last_refusal,
+        "several publishers": ", ".join(commands.crowded),
+    }
+    for name, value in commands.in_force._asdict().items():
+        values[f"{name} ({UNITS[name]})"] = f"{value:.9g}"
+        values[f"{name} age (s)"] = f"{tally.ages[name]:.3f}"
+    if commands.timed_out:
+        return WARN, "no command within operation.command_timeout", values
+    if commands.crowded:
+        return (
+            WARN,
+            "several publishers on a command: of their messages the last before an edge counts",
+            values,
+        )
+    return OK, f"{tally.refused} refused" if tally.refused else "all good", values
+
+
+def _contacts(counters: Counters) -> _Task:
+    message = "some event searches met their limit" if counters.capped else "all events located"
+    return OK, message, counters._asdict()
+
+
+def _condition(run: RunHealth, condition: Condition | None) -> _Task:
+    if condition is None:
+        return STALE, "nothing simulated yet", {}
+    values = {
+        "looked at (s)": f"{condition.span:.3g}",
+        "mean DTE (m)": f"{condition.dte_mean:.6g}",
+        "RMS of DTE (m)": f"{condition.dte_rms:.6g}",
+        "share of drive flanks": f"{condition.drive_share:.6g}",
+        "share of contact loss": f"{condition.apart_share:.6g}",
+        "share of back flanks": f"{condition.back_share:.6g}",
+        "peak bearing force, driving (N)": f"{condition.driving_peak_force:.6g}",
+        "peak bearing force, driven (N)": f"{condition.driven_peak_force:.6g}",
+        "mean drive power (W)": f"{condition.drive_power:.6g}",
+        "mean mesh loss (W)": f"{condition.mesh_loss:.6g}",
+        "mesh loss, share of drive power": f"{_share(condition.mesh_loss, condition.drive_power):.6g}",
+    }
+    if run.state != "running":
+        return STALE, run.state, values
+    return OK, "teeth in contact" if condition.apart_share < 1.0 else "teeth apart", values
+
+
+def _share(part: float, whole: float) -> float:
+    return part / whole if whole > 0.0 else math.nan
+
+
+def _step(checks: Sequence[Check]) -> _Task:
+    values = {f"step times {check.name}": f"{check.value:.3g}, limit {check.limit:.3g}" for check in checks}
+    failed = [check.message for check in checks if not check.holds]
+    if failed:
+        return WARN, "; ".join(failed), values
+    return OK, "the step bears every rate", values
+
+
+def _waveform(waves: Surface) -> _Task:
+    values = {
+        "highest surface wave (Hz)": f"{waves.top_wave:.6g}",
+        "half the sampling rate (Hz)": f"{waves.nyquist:g}",
+    }
+    if waves.top_wave > waves.nyquist:
+        return (
+            OK,
+            "the highest surface waves lie above half the sampling rate: they alias in the waveform",
+            values,
+        )
+    return OK, "sampling resolves the surface", values
+
+
+def _recorder(recorder: RecorderHealth | None, ring: RingHealth | None) -> _Task:
+    values: dict[str, object] = {}
+    if ring is not None:
+        values |= {
+            "ring (s)": f"{ring.held:.3f}",
+            "ring (bytes)": ring.bytes,
+            "last snapshot": ring.snapshot,
+        }
+    if recorder is None:
+        return OK, "off" if ring is None else "keeping the ring", values
+    values["path"] = recorder.path
+    if recorder.stats is not None:
+        values |= recorder.stats._asdict()
+    if recorder.error is not None:
+        return ERROR, recorder.error, values
+    if recorder.stats is not None and recorder.stats.seconds_left < FULL_SOON:
+        return WARN, "the disk is full soon: free space or stop recording", values
+    return OK, "recording", values
+
+
+def _viewer(viewer: ViewerHealth | None) -> _Task:
+    if viewer is None:
+        return OK, "off", {}
+    values = {"queued": viewer.queued, "dropped": viewer.dropped}
+    if viewer.error is not None:
+        return ERROR, viewer.error, values
+    return OK, "showing", values

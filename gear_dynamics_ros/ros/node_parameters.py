@@ -1,0 +1,116 @@
+"""The table of parameters as ROS parameters: declared with type, range, unit and description."""
+
+from __future__ import annotations
+
+import math
+import sys
+from array import array
+from collections.abc import Sequence
+from typing import Any, cast
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from gear_dynamics_ros.parameters import Parameters, Specification, differences, specifications, updated
+from gear_dynamics_ros.parameters.rcl_yaml import resolve_scalar
+
+# Declared by rclpy for every node, or by whoever overrides a quality of service.
+FOREIGN = ("use_sim_time", "start_type_description_service")
+FOREIGN_PREFIX = "qos_overrides."
+LARGEST_INTEGER = 2**63 - 1
+
+
+def declare(node: Node) -> Parameters:
+    """Check what file and command line gave ``node``, and declare every parameter of the table.
+
+    ``node`` must have declared its overrides by itself. Raises UsageError as ``Parameters.from_flat`` does.
+    """
+    overrides = cast("dict[str, Parameter]", node.get_parameters_by_prefix(""))
+    given = {
+        name: _plain(parameter.value)
+        for name, parameter in overrides.items()
+        if name not in FOREIGN and not name.startswith(FOREIGN_PREFIX)
+    }
+    parameters = Parameters.from_flat(given)
+    for name in given:
+        # Declared anew with the type of the table: an integer may have been given for a float.
+        node.undeclare_parameter(name)
+    rows = specifications()
+    node.declare_parameters(
+        "",
+        [(name, _listed(value), _descriptor(rows[name])) for name, value in parameters.to_flat().items()],
+        ignore_override=True,
+    )
+    return parameters
+
+
+def numbers_to_floats(parameters: list[Parameter]) -> list[Parameter]:
+    """Parameters about to be set, with floats for whatever number is given where floats are meant.
+
+    That is an integer, and text like 5e-2, which ROS's tools take for none.
+    """
+    floats = {name for name, row in specifications().items() if row.element is float}
+    return [_floated(parameter) if parameter.name in floats else parameter for parameter in parameters]
+
+
+def _floated(parameter: Parameter) -> Parameter:
+    value: Any = parameter.value
+    if parameter.type_ == Parameter.Type.INTEGER_ARRAY:
+        return Parameter(parameter.name, value=[float(entry) for entry in value])
+    if parameter.type_ == Parameter.Type.STRING:
+        value = resolve_scalar(value)
+    if parameter.type_ in (Parameter.Type.STRING, Parameter.Type.INTEGER) and not isinstance(
+        value, bool | str
+    ):
+        return Parameter(parameter.name, value=float(value))
+    return parameter
+
+
+def changed(parameters: Parameters, given: Sequence[Parameter]) -> Parameters:
+    """``parameters`` with the values ``given`` to the node; raises UsageError if they can't be together."""
+    rows = specifications()
+    values = {parameter.name: _plain(parameter.value) for parameter in given if parameter.name in rows}
+    return updated(parameters, values)
+
+
+def to_set(old: Parameters, new: Parameters) -> list[Parameter]:
+    """What to set on the node to come from ``old`` to ``new``."""
+    return [Parameter(name, value=_listed(value)) for name, value in differences(old, new).items()]
+
+
+def _plain(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list | array) else value
+
+
+def _listed(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _descriptor(row: Specification) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(
+        description=f"{row.help} [{row.unit}]" if row.unit else row.help,
+        additional_constraints=row.limits,
+        read_only=not row.runtime,
+    )
+    if row.type is float and _bounded(row):
+        lowest = -sys.float_info.max if row.minimum is None else row.minimum
+        highest = sys.float_info.max if row.maximum is None else row.maximum
+        descriptor.floating_point_range = [
+            FloatingPointRange(
+                from_value=math.nextafter(lowest, math.inf) if row.exclusive_minimum else lowest,
+                to_value=math.nextafter(highest, -math.inf) if row.exclusive_maximum else highest,
+            )
+        ]
+    if row.type is int and _bounded(row):
+        descriptor.integer_range = [
+            IntegerRange(
+                from_value=-LARGEST_INTEGER if row.minimum is None else int(row.minimum),
+                to_value=LARGEST_INTEGER if row.maximum is None else int(row.maximum),
+            )
+        ]
+    return descriptor
+
+
+def _bounded(row: Specification) -> bool:
+    return row.minimum is not None or row.maximum is not None

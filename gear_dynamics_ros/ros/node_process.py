@@ -1,0 +1,104 @@
+"""The process of the node ``gearbox``: arguments, signals, spinning, exit code."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import rclpy
+from rclpy.exceptions import NameValidationException
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args, try_shutdown
+
+from gear_dynamics_ros.errors import UsageError
+from gear_dynamics_ros.realtime.engine_thread import warm_up
+from gear_dynamics_ros.ros.discovery import stay_local
+from gear_dynamics_ros.ros.node import GearboxNode
+from gear_dynamics_ros.system.command import FAILURE, run_command
+from gear_dynamics_ros.system.processes import Parent, Signals
+from gear_dynamics_ros.system.threads import wake_punctually
+
+SPIN = 1.0  # s
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the node until it is stopped; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="gearbox",
+        description="The virtual gearbox as a ROS 2 node. Parameters: --ros-args --params-file FILE, "
+        "--ros-args -p name:=value.",
+    )
+    signals = Signals()
+    return run_command(lambda _: _serve(argv, signals), parser, _own_arguments(argv))
+
+
+def _own_arguments(argv: Sequence[str] | None) -> list[str] | None:
+    try:
+        return remove_ros_args(None if argv is None else ["gearbox", *argv])[1:]
+    except Exception:  # what is wrong with the ROS arguments is told when they are used
+        return []
+
+
+def _serve(argv: Sequence[str] | None, signals: Signals) -> int:
+    stay_local()
+    try:
+        rclpy.init(
+            args=None if argv is None else ["gearbox", *argv], signal_handler_options=SignalHandlerOptions.NO
+        )
+    except Exception as error:  # rclpy has no common class for what it finds wrong with arguments and files
+        raise UsageError(f"ROS arguments: {_one_line(error)}") from error
+    try:
+        return _spin(signals)
+    finally:
+        try_shutdown()
+
+
+def _spin(signals: Signals) -> int:
+    wake_punctually()
+    executor = _executor()
+    reasons: list[str] = []
+
+    def stop(reason: str) -> None:
+        reasons.append(reason)
+        executor.wake()
+
+    parent = Parent()
+    node = _node(stop)
+    try:
+        log: Any = node.get_logger()  # type: ignore[no-untyped-call]
+        warm_up(node.parameters, log.info)
+        signals.hand_to(stop)
+        executor.add_node(node)
+        if node.parameters.autostart:
+            node.bring_up()
+        while not reasons:
+            executor.spin_once(timeout_sec=SPIN)
+            if parent.gone():
+                stop("the ros2 run that started it has ended")
+    finally:
+        node.end(reasons[0] if reasons else "failed")
+        node.destroy_node()  # type: ignore[no-untyped-call]
+    return FAILURE if node.recorder_errors else 0
+
+
+def _executor() -> Executor:
+    """The one driven by events, where rclpy has it: the other takes many times as long for a command."""
+    try:
+        from rclpy.experimental.events_executor import EventsExecutor
+    except ImportError:
+        return SingleThreadedExecutor()
+    return EventsExecutor()
+
+
+def _node(stop: Callable[[str], None]) -> GearboxNode:
+    try:
+        return GearboxNode(stop)
+    except (ValueError, RuntimeError, NameValidationException) as error:
+        remedy = "an array must have an entry, a name must be one of ROS"
+        raise UsageError(f"ROS arguments: {_one_line(error)}: {remedy}") from error
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())

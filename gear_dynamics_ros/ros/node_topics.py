@@ -1,0 +1,101 @@
+"""The node's topics: publishers fed with ready bytes, subscriptions of commands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from importlib import import_module
+from typing import Any
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
+
+from gear_dynamics_ros.chunk import Chunk
+from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.messages.cdr import deserialize
+from gear_dynamics_ros.messages.encoder import Record
+from gear_dynamics_ros.topics import COMMAND_TOPICS, TOPICS, Topic
+
+Publishers = Mapping[str, Publisher]
+
+
+class PublisherSink:
+    """Publishes what a run writes, but for topics without publisher, such as the commands received."""
+
+    def __init__(self, publishers: Publishers) -> None:
+        self._publishers = publishers
+
+    def write(self, _: Chunk | None, records: Sequence[Record]) -> None:
+        for record in records:
+            publisher = self._publishers.get(record.topic)
+            if publisher is not None:
+                publisher.publish(record.data)
+
+    def close(self) -> None:
+        """Publishers belong to the node."""
+
+
+def create_publishers(node: Node, group: CallbackGroup, *, clock: bool) -> Iterator[tuple[str, Publisher]]:
+    """A publisher for each output, with its key in TOPICS; parameters may override quality of service."""
+    for key, topic in TOPICS.items():
+        if key not in COMMAND_TOPICS and (clock or key != "clock"):
+            yield (
+                key,
+                node.create_publisher(
+                    message_type(topic.type),
+                    topic.name,
+                    quality(topic),
+                    callback_group=group,
+                    qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+                ),
+            )
+
+
+def create_subscriptions(
+    node: Node, group: CallbackGroup, take: Callable[[str, bytes], None]
+) -> Iterator[Subscription]:
+    """A subscription for each command; ``take`` gets its key and the message as it came, in CDR."""
+    for key in COMMAND_TOPICS:
+        topic = TOPICS[key]
+        yield node.create_subscription(
+            message_type(topic.type),
+            topic.name,
+            partial(take, key),
+            quality(topic),
+            callback_group=group,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            raw=True,
+        )
+
+
+def read_command(key: str, data: bytes) -> Any:
+    """The message of the command ``key``. Raises GearboxError if ``data`` is none."""
+    kind = TOPICS[key].type
+    try:
+        return deserialize(kind, data)
+    except GearboxError as error:
+        raise GearboxError(f"{TOPICS[key].name}: what came is no {kind}: {error}") from error
+
+
+def command_names(node: Node) -> list[str]:
+    """Names of the command topics, remapping considered."""
+    return [node.resolve_topic_name(TOPICS[key].name) for key in COMMAND_TOPICS]
+
+
+def quality(topic: Topic) -> QoSProfile:
+    """Quality of service of a topic."""
+    return QoSProfile(
+        depth=topic.depth,
+        reliability=ReliabilityPolicy.RELIABLE if topic.reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def message_type(name: str) -> Any:
+    """Class of the message type ``name``, like std_msgs/msg/Float64."""
+    package, _, message = name.split("/")
+    return getattr(import_module(f"{package}.msg"), message)

@@ -1,0 +1,1 @@
+"""State and commands to chunks: no clock, no ROS, no file."""

@@ -1,0 +1,224 @@
+"""The state of a run between two samples, and its text in files and recordings.
+
+To *restore* a checkpoint sets state and time. To *resume* from one sets the state alone, while time goes on.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from gear_dynamics_ros.chunk import Commands, Status
+from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.parameters import Parameters, differences, specifications, updated
+from gear_dynamics_ros.simulation.provenance import Origin, present
+from gear_dynamics_ros.system.files import replace_text
+
+FORMAT: Final = 3
+# What decides the future of a state: whole groups but for some of their members.
+_PHYSICS: Final = (
+    "model",
+    "mesh_geometry",
+    "mesh_damping",
+    "restitution_law",
+    "mesh_phase",
+    "gears",
+    "mesh",
+    "surface",
+    "bearings",
+    "oil",
+    "operation",
+    "solver",
+)
+_NO_PHYSICS: Final = (
+    "operation.command_timeout",  # in wall time, as what follows it
+    "operation.on_timeout",
+    "operation.initial",  # what comes after a reset
+    "solver.chunk",
+)
+
+
+class Checkpoint(NamedTuple):
+    """Everything that decides the future of a run, between two samples."""
+
+    sample: int  # index of the next sample
+    status: Status
+    commands: Commands  # in force
+    state: Mapping[str, Any]  # entries of the kernel's state by name: a number, or (nested) lists of numbers
+    parameters: Parameters  # in force
+
+    def to_tree(self) -> dict[str, Any]:
+        """Mappings, lists and numbers that JSON keeps to the bit."""
+        return {
+            "sample": self.sample,
+            "status": int(self.status),
+            "commands": self.commands._asdict(),
+            "state": dict(self.state),
+            "parameters": self.parameters.to_flat(),
+        }
+
+    @classmethod
+    def from_tree(cls, tree: Mapping[str, Any]) -> Checkpoint:
+        """Inverse of ``to_tree``; the engine that takes it checks the entries of ``state``.
+
+        Raises GearboxError if an entry is missing or of the wrong type, UsageError on a parameter that can't
+        be.
+        """
+        try:
+            return cls(
+                _count(tree["sample"]),
+                Status(tree["status"]),
+                Commands(**{name: float(value) for name, value in _mapping(tree["commands"]).items()}),
+                _mapping(tree["state"]),
+                Parameters.from_flat(_mapping(tree["parameters"])),
+            )
+        except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
+            raise GearboxError(f"the checkpoint lacks or spoils an entry: {_one_line(error)}") from error
+
+
+class StoredCheckpoint(NamedTuple):
+    """A checkpoint as it stands in a file or in a recording."""
+
+    checkpoint: Checkpoint
+    provenance: Origin  # of the program that wrote it
+    digest: str = ""  # in a recording: SHA-256 of what led to it, hexadecimal; empty elsewhere
+
+    def to_text(self) -> str:
+        """JSON text."""
+        content = {
+            "format": FORMAT,
+            "checkpoint": self.checkpoint.to_tree(),
+            "provenance": self.provenance._asdict(),
+            "digest": self.digest,
+        }
+        return json.dumps(content, indent=1)
+
+    @classmethod
+    def from_text(cls, text: str, name: str) -> StoredCheckpoint:
+        """Inverse of ``to_text``; ``name`` is what errors call it.
+
+        Raises UsageError if it is no checkpoint of this format.
+        """
+        try:
+            content = _mapping(json.loads(text))
+            _require_format(content)
+            provenance = _mapping(content["provenance"])
+            return cls(
+                Checkpoint.from_tree(_mapping(content["checkpoint"])),
+                Origin(**{field: str(provenance[field]) for field in Origin._fields}),
+                str(content["digest"]),
+            )
+        except GearboxError as error:
+            raise UsageError(f"checkpoint '{name}': {error}") from None
+        except (KeyError, TypeError, ValueError, RecursionError) as error:
+            raise UsageError(f"'{name}' is no checkpoint, or it is spoilt: {_one_line(error)}") from None
+
+
+def require_place(path: Path) -> None:
+    """Raise UsageError unless a checkpoint can stand at ``path``."""
+    if os.path.isdir(path):
+        raise UsageError(f"checkpoint.path: '{path}' is a folder: name a file in it")
+    if not os.path.isdir(path.parent):
+        raise UsageError(
+            f"checkpoint.path: the folder '{path.parent}' does not exist: make it or choose another path"
+        )
+
+
+def require_running(checkpoint: Checkpoint) -> None:
+    """Raise GearboxError if the run had ended: nothing can go on from there."""
+    if checkpoint.status is not Status.RUNNING:
+        raise GearboxError("the checkpoint is of a run that had ended: take an earlier one")
+
+
+def save(path: Path, checkpoint: Checkpoint) -> None:
+    """Write ``checkpoint`` to ``path``; an earlier file there is replaced in one moment or stays.
+
+    Raises GearboxError if the run has ended or the file can't be written.
+    """
+    if checkpoint.status is not Status.RUNNING:
+        raise GearboxError("no checkpoint can be saved: the run has ended; reset it first")
+    try:
+        replace_text(path, StoredCheckpoint(checkpoint, present()).to_text())
+    except OSError as error:
+        raise GearboxError(
+            f"checkpoint '{path}' can't be written: {error.strerror}: free space or choose another path"
+        ) from error
+
+
+def load(path: Path) -> StoredCheckpoint:
+    """What the checkpoint file ``path`` holds.
+
+    Raises UsageError if there is none or if it is no checkpoint file, GearboxError if it can't be read.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise UsageError(f"there is no checkpoint '{path}': name a file that was saved") from None
+    except UnicodeDecodeError:
+        raise UsageError(f"'{path}' is no checkpoint: it is no text") from None
+    except OSError as error:
+        raise GearboxError(f"checkpoint '{path}' can't be read: {error.strerror}") from error
+    return StoredCheckpoint.from_text(text, str(path))
+
+
+def require_fitting(stored: StoredCheckpoint, running: Parameters) -> None:
+    """Raise UsageError unless a gearbox with the parameters ``running`` can go on from ``stored``.
+
+    It can't under another kernel, nor where parameters differ that decide the physics and are fixed.
+    """
+    theirs, ours = stored.provenance, present()
+    if theirs.kernel_hash != ours.kernel_hash:
+        raise UsageError(
+            f"the checkpoint is of kernel {theirs.kernel_hash[:12]} (version {theirs.version}), this is "
+            f"{ours.kernel_hash[:12]} ({ours.version}): use the version that wrote it, or save a new one"
+        )
+    before = running.to_flat()
+    for name, value in differences(running, stored.checkpoint.parameters).items():
+        if decides_physics(name) and not specifications()[name].runtime:
+            raise UsageError(
+                f"{name} = {before[name]!r} is fixed, but the checkpoint has {value!r}: "
+                f"start with {name} = {value!r}"
+            )
+
+
+def continued(stored: StoredCheckpoint, running: Parameters) -> Parameters:
+    """Parameters with which a gearbox that has ``running`` goes on from ``stored``.
+
+    Whatever decides the physics is as it was saved; pacing, timeouts, outputs and files stay. Raises
+    UsageError as ``require_fitting`` does.
+    """
+    require_fitting(stored, running)
+    saved = stored.checkpoint.parameters.to_flat()
+    return updated(running, {name: value for name, value in saved.items() if decides_physics(name)})
+
+
+def decides_physics(name: str) -> bool:
+    """Whether the parameter ``name`` (dotted) has a part in what follows from a state."""
+    return name.split(".")[0] in _PHYSICS and name not in _NO_PHYSICS
+
+
+def _mapping(value: Any) -> dict[str, Any]:
+    if not isinstance(value, Mapping):
+        raise TypeError(f"{value!r:.40} is no mapping")
+    return dict(value)
+
+
+def _require_format(content: Mapping[str, Any]) -> None:
+    form = content.get("format")
+    if form != FORMAT:
+        raise GearboxError(
+            f"it has the format {form!r:.40}, this version reads {FORMAT}: use the version that wrote it"
+        )
+
+
+def _count(value: Any) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 1 << 62:
+        raise ValueError(f"{value!r:.40} is no index of a sample")
+    return value
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(f"{error!r:.200}".split())

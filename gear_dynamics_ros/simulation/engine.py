@@ -1,0 +1,235 @@
+"""The engine: state and commands in, chunks of samples out; no clock, no ROS, no file."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gear_dynamics_ros.channels import (
+    CHANNELS,
+    COLUMN,
+    ENERGIES,
+    IMPACTS,
+)
+from gear_dynamics_ros.chunk import (
+    Chunk,
+    Commands,
+    Counters,
+    Status,
+)
+from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.parameters import (
+    OperationParameters,
+    Parameters,
+    differences,
+    require_changeable,
+    updated,
+)
+from gear_dynamics_ros.physics import derived, kernel
+from gear_dynamics_ros.simulation.checkpoint import Checkpoint, require_running
+
+IMPACTS_A_CALL = 256
+
+
+@cache
+def kernel_hash() -> str:
+    """SHA-256 of the kernel's source, as hexadecimal text."""
+    return hashlib.sha256(Path(kernel.__file__).read_bytes()).hexdigest()
+
+
+class Engine:
+    """One gearbox: advances in chunks; the same bits at any chunk length."""
+
+    def __init__(self, parameters: Parameters) -> None:
+        self.parameters = parameters
+        self._excitations = derived.excitations(parameters)
+        self._constants = derived.constants(parameters, self._excitations)
+        self._interval_ns = parameters.solver.sample_interval_ns
+        wanted = max(COLUMN[name] for name in parameters.waveform_channels)
+        self._columns = len(CHANNELS) if wanted < len(CHANNELS) else len(COLUMN)
+        most_a_sample = kernel.IMPACTS_PER_STEP * parameters.solver.steps_per_sample
+        self._impacts = np.empty((most_a_sample + IMPACTS_A_CALL, len(IMPACTS)))
+        self.sample = 0
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to the start state and the commands of the parameters; time goes on."""
+        operation = self.parameters.operation
+        self.commands = Commands(operation.drive_torque, operation.load_torque, operation.speed)
+        self.status = Status.RUNNING
+        self._points = derived.aligned_zeros((3,), kernel.POINT)
+        self._state = derived.aligned_zeros((1,), kernel.STATE)
+        state = self._state
+        if operation.initial == "touching":
+            r1, r2 = self._constants["base_radius"][0]
+            state["omega"] = operation.speed, operation.speed * r1 / r2
+        state["drive_torque"] = operation.drive_torque
+        state["governor"] = operation.drive_torque
+        state["impact_speed"] = self._constants["minimum_impact_speed"]
+        self.command(self.commands)
+        kernel.touch(self._constants, state, self._points, *self._excitations)
+
+    def command(self, commands: Commands) -> None:
+        """Put ``commands`` in force from the next sample on."""
+        # There is but one zero: a -0.0 counts as no change of 0.0, and must make none to the bits either.
+        self.commands = commands = Commands(*(value + 0.0 for value in commands))
+        self._state["speed"], self._state["load_torque"] = commands.speed, commands.load_torque
+        if not self._constants["governed"]:
+            self._state["drive_torque"] = commands.drive_torque
+
+    def change(self, parameters: Parameters) -> None:
+        """Put ``parameters`` in force from the next sample on.
+
+        Drive torque, load torque and speed that differ become commands, the others stay in force. The
+        governor takes over and hands over at the drive torque in force. Raises UsageError, changing nothing,
+        where something differs that is fixed while the gearbox runs.
+        """
+        old = self.parameters
+        require_changeable(old, parameters)
+        # A -0.0 for a 0.0 counts as no difference, and must make none to the bits either.
+        new = updated(old, differences(old, parameters))
+        excitations = derived.excitations(new)
+        constants = derived.constants(new, excitations)
+        stored = kernel.look_before(self._constants, self._state, self._points, *self._excitations)
+        self.parameters, self._constants, self._excitations = new, constants, excitations
+        self._hand_over(old.operation, new.operation)
+        kernel.adapt(constants, self._state, self._points, *excitations, self._impacts, stored)
+
+    def _hand_over(self, old: OperationParameters, new: OperationParameters) -> None:
+        torque = float(self._state["drive_torque"][0])
+        commands = self.commands
+        if (old.control, new.control) == ("speed", "torque"):
+            commands = commands._replace(drive_torque=torque)
+        given = {name: getattr(new, name) for name in Commands._fields}
+        self.command(
+            commands._replace(**{name: to for name, to in given.items() if to != getattr(old, name)})
+        )
+        if new.control == "speed" and (old.control, old.governor) != (new.control, new.governor):
+            limit = new.governor.torque_limit
+            error = self.commands.speed - float(self._state["omega"][0, 0])
+            self._state["governor"] = min(max(torque, -limit), limit) - new.governor.proportional * error
+
+    def advance(self, samples: int | None = None) -> Chunk:
+        """The next ``samples`` samples (default: a chunk); fewer if the run ends in them.
+
+        Raises GearboxError if the run has ended already.
+        """
+        if self.status is not Status.RUNNING:
+            raise GearboxError(f"the run has ended ({self._reason()}); reset it to go on")
+        count = self.parameters.solver.samples_per_chunk if samples is None else samples
+        rows = np.empty((count, self._columns))
+        angles = np.empty((count, 2))
+        energies = np.empty((1, len(ENERGIES)))
+        impacts = []
+        first, written = self.sample, 0
+        # A call ends early, at a sample, where its room for impacts might not suffice.
+        while True:
+            done, status = kernel.run(
+                self._constants,
+                self._state,
+                self._points,
+                *self._excitations,
+                first + written,
+                self._interval_ns,
+                rows[written:],
+                angles[written:],
+                energies,
+                self._impacts,
+            )
+            impacts.append(self._impacts[: self._state["listed"][0]].copy())
+            written += done
+            if written == count or status != Status.RUNNING:
+                break
+        self.sample = first + written
+        self.status = Status(status)
+        return Chunk(
+            first_sample=first,
+            interval_ns=self._interval_ns,
+            samples=rows[:written],
+            angles=angles[:written],
+            energies=energies[0],
+            impacts=np.concatenate(impacts),
+            commands=self.commands,
+            counters=self.counters,
+            status=self.status,
+            message=self._reason(),
+        )
+
+    @property
+    def counters(self) -> Counters:
+        """Totals since the start or the last reset."""
+        return Counters(*(int(self._state[name][0]) for name in Counters._fields))
+
+    @property
+    def mesh_loss(self) -> float:
+        """Energy that the mesh has lost since the start or the last reset, J, as of the last call."""
+        return float(self._state["mesh_loss"][0])
+
+    def checkpoint(self) -> Checkpoint:
+        """Everything that decides the future, before the next sample."""
+        return Checkpoint(
+            sample=self.sample,
+            status=self.status,
+            commands=self.commands,
+            state={name: self._state[name][0].tolist() for name in _STATE_NAMES},
+            parameters=self.parameters,
+        )
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Take the state and the time of ``checkpoint``, whose parameters must be in force here.
+
+        Raises GearboxError, changing nothing, if the state can't be one.
+        """
+        self._state = _state(checkpoint)
+        self.sample, self.status, self.commands = checkpoint.sample, checkpoint.status, checkpoint.commands
+
+    def resume(self, checkpoint: Checkpoint) -> None:
+        """Take the state of ``checkpoint`` alone: simulated time goes on, and so do the parameters in force.
+
+        Everything comes out as after ``restore``, at other times. Raises GearboxError, changing nothing, if
+        the state can't be one, or is of a run that had ended.
+        """
+        require_resumable(checkpoint)
+        state = _state(checkpoint)
+        state["impact_time"] += (self.sample - checkpoint.sample) * self._interval_ns / 1e9
+        self._state, self.status, self.commands = state, checkpoint.status, checkpoint.commands
+
+    def _reason(self) -> str:
+        if self.status is Status.OVER_SPEED:
+            fastest = np.abs(self._state["omega"]).max()
+            limit = self.parameters.operation.speed_limit
+            return f"over-speed: {fastest:.6g} rad/s exceeds operation.speed_limit = {limit:g} rad/s"
+        if self.status is Status.NON_FINITE:
+            return (
+                f"the state is no longer finite at t = {self.sample * self._interval_ns * 1e-9:.9g} s: "
+                f"lower solver.step = {self.parameters.solver.step:g} s or check the parameters"
+            )
+        if self.status is Status.CENTRES_PRESSED:
+            return (
+                "the centres are pressed together: no backlash is left (b1 <= 0) and both flanks would touch"
+            )
+        return ""
+
+
+def require_resumable(checkpoint: Checkpoint) -> None:
+    """Raise GearboxError where ``Engine.resume`` would."""
+    require_running(checkpoint)
+    _state(checkpoint)
+
+
+_STATE_NAMES = kernel.STATE.names or ()
+
+
+def _state(checkpoint: Checkpoint) -> NDArray[Any]:
+    state = derived.aligned_zeros((1,), kernel.STATE)
+    try:
+        for name in _STATE_NAMES:
+            state[name] = checkpoint.state[name]
+    except (KeyError, OverflowError, TypeError, ValueError) as error:
+        raise GearboxError(f"the checkpoint lacks or spoils an entry: {error!r}") from error
+    return state

@@ -1,0 +1,152 @@
+"""Files and folders that appear whole or not at all, and survive a loss of power.
+
+Each is written under another name in the same folder (the draft), brought to the disk, and then renamed.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO, TypeVar
+
+from gear_dynamics_ros.errors import GearboxError, UsageError
+
+DRAFT_SUFFIX = ".part"
+_T = TypeVar("_T")
+
+
+@contextmanager
+def replace_file(path: Path) -> Iterator[BinaryIO]:
+    """Stream into a file that appears at ``path`` when the block ends, in place of an earlier one.
+
+    If the block raises, the earlier file stays and nothing else is left behind. A draft left by a process
+    that was killed is removed. Raises OSError if the file can't be written.
+    """
+    draft = path.parent / f".{path.name}{DRAFT_SUFFIX}"
+    draft.unlink(missing_ok=True)
+    with _finished(draft.open("xb"), draft, lambda: draft.replace(path)) as stream:
+        yield stream
+
+
+def replace_text(path: Path, text: str) -> None:
+    """Write ``text`` in UTF-8 to ``path``, as ``replace_file`` does. Raises OSError if that fails."""
+    with replace_file(path) as stream:
+        stream.write(text.encode())
+
+
+@contextmanager
+def output_file(path: Path) -> Iterator[BinaryIO]:
+    """As ``replace_file``, but raises GearboxError, naming ``path``, in place of an OSError."""
+    with _explained(path), replace_file(path) as stream:
+        yield stream
+
+
+@contextmanager
+def new_file(path: Path) -> Iterator[BinaryIO]:
+    """Stream into a new file that appears at ``path`` when the block ends; an existing one is never touched.
+
+    If the block raises, nothing is left behind. Raises UsageError if ``path`` or its draft exists, or the
+    draft can't be created; GearboxError in place of an OSError while writing, the block's own included.
+    """
+    draft = _draft_beside(path)
+    stream = _created(draft, lambda: draft.open("xb"))
+    with _explained(path), _finished(stream, draft, lambda: _rename_new(draft, path)):
+        yield stream
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """Folder to fill, which appears at ``path`` when the block ends; an existing one is never touched.
+
+    The block itself brings the files in it to the disk. If the block raises, nothing is left behind. Raises
+    as ``new_file`` does.
+    """
+    draft = _draft_beside(path)
+    _created(draft, draft.mkdir)
+    with _explained(path):
+        try:
+            yield draft
+            sync_folder(draft)
+            _rename_new(draft, path)
+            sync_folder(path.parent)
+        except BaseException:
+            shutil.rmtree(draft, ignore_errors=True)  # the error under way says more
+            raise
+
+
+def require_new(path: Path) -> None:
+    """Raise UsageError if anything exists at ``path``."""
+    if os.path.lexists(path):
+        raise UsageError(
+            f"'{path}' exists already and is not overwritten: choose another name or move it away"
+        )
+
+
+def sync_folder(path: Path) -> None:
+    """Bring the names in a folder to the disk: without its name, a file does not survive a loss of power.
+
+    Raises OSError if that fails.
+    """
+    folder = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def _draft_beside(path: Path) -> Path:
+    require_new(path)
+    return path.with_name(path.name + DRAFT_SUFFIX)
+
+
+def _created(draft: Path, create: Callable[[], _T]) -> _T:
+    """What ``create`` returns. Raises UsageError if it can't create ``draft``."""
+    try:
+        return create()
+    except FileExistsError:
+        raise UsageError(
+            f"'{draft}' exists already: another process is writing it, or left it when it was killed: "
+            "wait, or remove it"
+        ) from None
+    except FileNotFoundError:
+        raise UsageError(
+            f"the folder '{draft.parent}' does not exist: make it or choose another place"
+        ) from None
+    except OSError as error:
+        raise UsageError(f"can't make '{draft}': {error.strerror}: choose a writable place") from error
+
+
+@contextmanager
+def _finished(stream: BinaryIO, draft: Path, publish: Callable[[], object]) -> Iterator[BinaryIO]:
+    """``stream``, the open file ``draft``; once it is on the disk, ``publish`` renames it."""
+    try:
+        yield stream
+        stream.flush()
+        os.fsync(stream.fileno())
+        stream.close()
+        publish()
+        sync_folder(draft.parent)
+    except BaseException:
+        with suppress(OSError):  # of writing what the stream still holds, which is thrown away
+            stream.close()
+        draft.unlink(missing_ok=True)
+        raise
+
+
+def _rename_new(draft: Path, path: Path) -> None:
+    require_new(path)
+    draft.rename(path)
+
+
+@contextmanager
+def _explained(path: Path) -> Iterator[None]:
+    """Turn an OSError into a GearboxError that names ``path``."""
+    try:
+        yield
+    except OSError as error:
+        raise GearboxError(
+            f"can't write '{path}': {error.strerror or error}: free space or choose another place"
+        ) from error
