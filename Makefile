@@ -57,7 +57,7 @@ $(INSTALLED): setup.py setup.cfg pyproject.toml constraints.txt
 	@touch $@
 
 # The compiled kernel is cached beside its source; compiling it here keeps the first run short.
-$(WARM): $(INSTALLED) $(wildcard gear_dynamics_ros/physics/*.py)
+$(WARM): $(INSTALLED) $(wildcard gear_dynamics_ros/physics/*.py gear_dynamics_ros/physics/kernel/*.py)
 	@echo "== Compiling the kernel (up to a minute, once)"
 	@scratch=$$(mktemp -d) && trap 'rm -rf "$$scratch"' EXIT && \
 		$(BIN)/simulate --params-file config/gearbox.yaml --duration 0.01 --output "$$scratch/warm"

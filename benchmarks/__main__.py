@@ -20,7 +20,7 @@ import speed
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.simulation.engine import Engine
-from gear_dynamics_ros.simulation.provenance import processor
+from gear_dynamics_ros.simulation.provenance import processor_name
 
 REAL_TIME_AIMED_AT = {"traditional": 5.0, "compared": 5.0, "improved": 3.0}
 RATIO_AIMED_AT = 1.2
@@ -69,7 +69,7 @@ def replace_figures(path: Path, lines: Lines) -> None:
 
 def machine() -> str:
     """What the figures are from."""
-    return f"{processor()} ({os.cpu_count()} logical processors), Python {platform.python_version()}"
+    return f"{processor_name()} ({os.cpu_count()} logical processors), Python {platform.python_version()}"
 
 
 def parts() -> Iterator[Lines]:

@@ -26,7 +26,8 @@ from gear_dynamics_ros.channels import CHANNELS, COLUMN
 from gear_dynamics_ros.chunk import Status
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.physics import derived, kernel
+from gear_dynamics_ros.physics.constants import Excitations, excitation_table, kernel_constants
+from gear_dynamics_ros.physics.kernel.waves import ORDER
 from gear_dynamics_ros.simulation.engine import Engine
 
 PROGRAM = Path(__file__).resolve().parent / "plain" / "gearbox.c"
@@ -149,10 +150,10 @@ class PlainC:
         self._library = library(flags)
         self._interval_ns = parameters.solver.sample_interval_ns
         self._sample = 0
-        table = derived.excitations(parameters)
+        table = excitation_table(parameters)
         constants = _constants(parameters, table)
-        count = np.count_nonzero(table.waves[kernel.ORDER])
-        orders = table.waves[kernel.ORDER, :count].copy()
+        count = np.count_nonzero(table.waves[ORDER])
+        orders = table.waves[ORDER, :count].copy()
         amplitudes = np.ascontiguousarray(table.amplitudes[:count].swapaxes(0, 1))
         self._handle = self._library.gearbox_new(constants, len(orders), _data(orders), _data(amplitudes))
         if self._handle is None:
@@ -235,9 +236,9 @@ def step_ns(parameters: Parameters) -> tuple[float, float, float]:
     return float(of_program), float(of_engine), float(np.median(turns[:, 1] / turns[:, 0]))
 
 
-def _constants(parameters: Parameters, table: derived.Excitations) -> Constants:
-    """What derived.constants holds, field by field: its layout is the kernel's own affair."""
-    record = derived.constants(parameters, table)[0]
+def _constants(parameters: Parameters, table: Excitations) -> Constants:
+    """What kernel_constants holds, field by field: its layout is the kernel's own affair."""
+    record = kernel_constants(parameters, table)[0]
     constants = Constants()
     for name in _FIELDS:
         values = record[name]

@@ -26,7 +26,7 @@ from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.cdr import deserialize
 from gear_dynamics_ros.parameters import load_parameters
-from gear_dynamics_ros.simulation.provenance import processor
+from gear_dynamics_ros.simulation.provenance import processor_name
 from gear_dynamics_ros.system.command import FAILURE, run_command
 from gear_dynamics_ros.topics import TOPICS
 
@@ -260,7 +260,7 @@ def page(found: Found, table: list[Row]) -> list[str]:
     return [
         "# Soak",
         "",
-        f"Made by `make soak` on {processor()} ({os.cpu_count()} logical processors), "
+        f"Made by `make soak` on {processor_name()} ({os.cpu_count()} logical processors), "
         f"Python {platform.python_version()}: the node with gearbox.yaml at real-time factor 1 for "
         f"{found.duration:.0f} s, all channels at 100 kHz, recording (`~/split` called {found.splits} times) "
         f"and Rerun (serve) on, {found.commands} commands at {1.0 / COMMAND_INTERVAL:g} Hz. A process beside "

@@ -22,8 +22,12 @@ from numpy.typing import NDArray
 
 from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters, load_parameters
-from gear_dynamics_ros.physics import derived, kernel
-from gear_dynamics_ros.physics.lanes import pointer, store
+from gear_dynamics_ros.physics.constants import excitation_table, kernel_constants
+from gear_dynamics_ros.physics.kernel.dynamics import motion_after, right_hand_side
+from gear_dynamics_ros.physics.kernel.entry import evaluate_state
+from gear_dynamics_ros.physics.kernel.lanes import pointer, store
+from gear_dynamics_ros.physics.kernel.records import END, HERE, motion_at
+from gear_dynamics_ros.physics.kernel.waves import COSINE, SINE, SURFACE, excite_at, rotate_waves, sum_waves
 from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.simulation.engine import Engine
 
@@ -181,10 +185,10 @@ def costs(parameters: Parameters) -> Costs:
     """Of the kernel's parts, called one after the other, each on what the one before left."""
     engine = Engine(parameters)
     run(engine, WARM)
-    table = derived.excitations(parameters)
-    constants = derived.constants(parameters, table)
+    table = excitation_table(parameters)
+    constants = kernel_constants(parameters, table)
     points, state = engine._points, engine._state
-    kernel.look(constants, state, points, *table)
+    evaluate_state(constants, state, points, *table)
     evaluations, excitations, excitations_on = _loops()
     return Costs(
         _loop_ns(lambda count: evaluations(constants, state, points, count)),
@@ -210,12 +214,12 @@ def _loops() -> tuple[Any, Any, Any]:
 
     @compiled
     def evaluations(all_constants: Any, all_state: Any, points: Any, count: int) -> float:
-        constants, state, here = all_constants[0], all_state[0], points[kernel.HERE]
-        motion, total = kernel.motion_at(here), 0.0
+        constants, state, here = all_constants[0], all_state[0], points[HERE]
+        motion, total = motion_at(here), 0.0
         for n in range(count):
             h = -1e-9 if n & 1 else 1e-9
-            rates, teeth, _, _, _ = kernel.dynamics(constants, state, motion, here.excitation, 0.0)
-            motion = kernel.moved(constants, motion, h, motion, rates)
+            rates, teeth, _, _, _ = right_hand_side(constants, state, motion, here.excitation, 0.0)
+            motion = motion_after(constants, motion, h, motion, rates)
             total += teeth.force
         return total + motion.u
 
@@ -223,23 +227,23 @@ def _loops() -> tuple[Any, Any, Any]:
     def excitations(
         all_constants: Any, all_state: Any, points: Any, wave_rows: Any, amplitude_rows: Any, count: int
     ) -> float:
-        constants, state, end = all_constants[0], all_state[0], points[kernel.END]
+        constants, state, end = all_constants[0], all_state[0], points[END]
         waves, amplitudes = pointer(wave_rows), pointer(amplitude_rows)
         for n in range(count):
-            turn = (n & 1023) / 1024.0 + 1e-3 * end.excitation[kernel.SURFACE]
-            kernel.excite(constants, state, waves, amplitudes, turn, pointer(end.excitation))
-        return end.excitation[kernel.SURFACE]
+            part_turn = (n & 1023) / 1024.0 + 1e-3 * end.excitation[SURFACE]
+            excite_at(constants, state, waves, amplitudes, part_turn, pointer(end.excitation))
+        return end.excitation[SURFACE]
 
     @compiled
     def excitations_on(
         all_constants: Any, points: Any, wave_rows: Any, amplitude_rows: Any, count: int
     ) -> float:
-        constants, end = all_constants[0], points[kernel.END]
+        constants, end = all_constants[0], points[END]
         waves, amplitudes = pointer(wave_rows), pointer(amplitude_rows)
         for _ in range(count):
-            kernel.turn_waves(constants, waves)
-            total = kernel.sum_waves(constants, waves, amplitudes, kernel.COSINE, kernel.SINE)
+            rotate_waves(constants, waves)
+            total = sum_waves(constants, waves, amplitudes, COSINE, SINE)
             store(end.excitation, 0, total)
-        return end.excitation[kernel.SURFACE]
+        return end.excitation[SURFACE]
 
     return evaluations, excitations, excitations_on

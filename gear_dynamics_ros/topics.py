@@ -82,7 +82,7 @@ TOPICS: Final[dict[str, Topic]] = {
     "model_info": Topic(
         "~/model_info",
         STRING,
-        "JSON: version, kernel hash, parameters in force, columns and units, joints, frames, epoch of stamps",
+        "JSON: version, hashes, parameters in force, columns and units, joints, frames, epoch of stamps",
         depth=1,
         latched=True,
     ),

@@ -18,11 +18,8 @@ ROOT: Final = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from gear_dynamics_ros import palette  # noqa: E402
-from gear_dynamics_ros.parameters import (  # noqa: E402
-    BearingParameters,
-    Parameters,
-)
-from gear_dynamics_ros.physics import derived  # noqa: E402
+from gear_dynamics_ros.parameters import BearingParameters, Parameters  # noqa: E402
+from gear_dynamics_ros.physics.constants import base_radii, hertz_factor  # noqa: E402
 from gear_dynamics_ros.simulation.engine import Engine  # noqa: E402
 
 Vector = NDArray[np.float64]
@@ -71,7 +68,7 @@ def contact_energy(p: Parameters, bearing: BearingParameters, depth: float) -> f
         return 0.0
     b, x = bearing.clearance, depth / bearing.clearance
     bracket = 0.25 * (2.0 * x - 3.0) * math.sqrt(x * (1.0 + x)) + 0.75 * math.asinh(math.sqrt(x))
-    return derived.hertz_factor(p, bearing.length) * b * b * bracket
+    return hertz_factor(p, bearing.length) * b * b * bracket
 
 
 def energies(p: Parameters, state: dict[str, Any], dte: float, half_backlash: float) -> tuple[float, float]:
@@ -79,7 +76,7 @@ def energies(p: Parameters, state: dict[str, Any], dte: float, half_backlash: fl
     (x1, x2), (y1, y2), u = state["x"], state["y"], state["u"]
     (vx1, vx2), (vy1, vy2), (omega1, omega2) = state["vx"], state["vy"], state["omega"]
     gears, bearings = p.gears, p.bearings
-    r1, r2 = derived.base_radii(p)
+    r1, r2 = base_radii(p)
     mass1, mass2 = gears.driving.inertia / r1**2, gears.driven.inertia / r2**2
     kinetic = 0.5 * mass1 * mass2 / (mass1 + mass2) * (r1 * omega1 - r2 * omega2) ** 2
     kinetic += 0.5 * gears.driving.mass * (vx1**2 + vy1**2) + 0.5 * gears.driven.mass * (vx2**2 + vy2**2)

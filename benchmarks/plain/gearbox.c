@@ -1,7 +1,7 @@
 /*
  * The gearbox model as a plain scalar C program: the yardstick of the kernel's speed.
  *
- * Same equations, same integrator, same events and same samples as gear_dynamics_ros/physics/kernel.py, written
+ * Same equations, same integrator, same events and same samples as gear_dynamics_ros/physics/kernel, written
  * the way C is written: structures, ordinary control flow, no intrinsics. Works and losses, and the list of
  * impacts, are the kernel's alone. All values are SI; equation numbers are the paper's.
  */

@@ -9,8 +9,8 @@ from typing import Any
 
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.cli.progress import Progress
-from gear_dynamics_ros.recording.export.formats import FORMATS
 from gear_dynamics_ros.recording.export import tables
+from gear_dynamics_ros.recording.export.formats import FORMATS
 from gear_dynamics_ros.recording.export.write import export
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gear_dynamics_ros.parameters import BearingParameters, Parameters
-from gear_dynamics_ros.physics import derived
+from gear_dynamics_ros.physics.constants import base_radii, film_factor, hertz_factor, mesh_damping
 
 # Where RK4 becomes unstable: on an undamped oscillation and on a pure decay.
 OSCILLATION_LIMIT = 2.0 * math.sqrt(2.0)
@@ -81,7 +81,7 @@ def natural_frequency(parameters: Parameters) -> float:
     deeper, whose stiffness grows with the cube root of their force.
     """
     gears, mesh = parameters.gears, parameters.mesh
-    r1, r2 = derived.base_radii(parameters)
+    r1, r2 = base_radii(parameters)
     per_mass = np.array(
         [r1**2 / gears.driving.inertia + r2**2 / gears.driven.inertia]
         + [1.0 / gear.mass for gear in (gears.driving, gears.driven)]
@@ -121,7 +121,7 @@ def stiffness_peak(parameters: Parameters) -> float:
 def static_load(parameters: Parameters) -> float:
     """Force of the mesh and of each bearing under the torques of the start, N."""
     operation = parameters.operation
-    r1, r2 = derived.base_radii(parameters)
+    r1, r2 = base_radii(parameters)
     return max(abs(operation.drive_torque) / r1, abs(operation.load_torque) / r2)
 
 
@@ -140,7 +140,7 @@ def static_depth(parameters: Parameters, side: str) -> float:
     load = static_load(parameters)
     if parameters.model == "traditional":
         return load / bearing.kelvin_stiffness
-    ratio = load / derived.hertz_factor(parameters, bearing.length)
+    ratio = load / hertz_factor(parameters, bearing.length)
     depth = 0.0
     for _ in range(100):  # contracts, the faster the smaller the depth beside the clearance
         depth = (ratio * math.sqrt(bearing.clearance + depth)) ** (2.0 / 3.0)
@@ -150,10 +150,10 @@ def static_depth(parameters: Parameters, side: str) -> float:
 def mesh_damping_rate(parameters: Parameters) -> float:
     """Rate at which mesh damping slows the approach of free gears, 1/s."""
     gears = parameters.gears
-    r1, r2 = derived.base_radii(parameters)
+    r1, r2 = base_radii(parameters)
     per_mass = r1**2 / gears.driving.inertia + r2**2 / gears.driven.inertia
     per_mass += radial_factor(parameters) * (1.0 / gears.driving.mass + 1.0 / gears.driven.mass)
-    return derived.mesh_damping(parameters) * per_mass
+    return mesh_damping(parameters) * per_mass
 
 
 def kelvin_damping_rate(parameters: Parameters, side: str) -> float:
@@ -172,7 +172,7 @@ def film_damping_rate(parameters: Parameters, side: str) -> float:
     reached = (bearing.clearance + static_depth(parameters, side)) / bearing.oil_clearance
     eps = min(reached, parameters.oil.eccentricity_limit)
     mass: float = getattr(parameters.gears, side).mass
-    return film_damping(derived.film_factor(parameters, bearing) / bearing.oil_clearance, eps) / mass
+    return film_damping(film_factor(parameters, bearing) / bearing.oil_clearance, eps) / mass
 
 
 def film_damping(scale: float, eps: float) -> float:

@@ -16,7 +16,7 @@ SAMPLES_PER_WAVE = 64
 ROOT_ITERATIONS = 40
 
 
-class Surface(NamedTuple):
+class FractalProfile(NamedTuple):
     """Profile sum_j cosine_j cos(orders_j a) + sine_j sin(orders_j a); a is the gear's own angle in rad."""
 
     orders: NDArray[np.int64]  # waves per revolution
@@ -31,22 +31,22 @@ class Surface(NamedTuple):
 
 def fractal_surface(
     *, teeth: int, roughness: float, fractal_dimension: float, offset: float, scale: float, waves: int
-) -> Surface:
-    """Surface of one gear, scaled so that the mean of |z| over a revolution is ``roughness`` (m).
+) -> FractalProfile:
+    """Profile of one gear, scaled so that the mean of |z| over a revolution is ``roughness`` (m).
 
     The frequencies scale^j per tooth are rounded to whole waves per revolution (half to even), so that the
     profile closes on the gear.
     """
     unit, magnitude = _unit_surface(teeth, fractal_dimension, offset, scale, waves)
     gain = roughness / magnitude
-    return Surface(unit.orders, gain * unit.cosine, gain * unit.sine)
+    return FractalProfile(unit.orders, gain * unit.cosine, gain * unit.sine)
 
 
 # What a run changes is the roughness alone, and the mean takes longer than a chunk.
 @lru_cache(maxsize=16)
 def _unit_surface(
     teeth: int, fractal_dimension: float, offset: float, scale: float, waves: int
-) -> tuple[Surface, float]:
+) -> tuple[FractalProfile, float]:
     """The sum without its scale, dimensionless, and the mean of its magnitude."""
     ladder = [scale**j for j in range(waves)]
     if teeth * ladder[-1] > MOST_WAVES_PER_REVOLUTION:
@@ -56,11 +56,11 @@ def _unit_surface(
         )
     orders = np.array([round(teeth * factor) for factor in ladder], dtype=np.int64)
     weights = np.array([factor ** (fractal_dimension - 2.0) for factor in ladder])
-    unit = Surface(orders, weights * math.sin(offset), weights * math.cos(offset))
+    unit = FractalProfile(orders, weights * math.sin(offset), weights * math.cos(offset))
     return unit, mean_magnitude(unit)
 
 
-def mean_magnitude(surface: Surface) -> float:
+def mean_magnitude(surface: FractalProfile) -> float:
     """Mean of |z| over one revolution in m, from the zeros of z and its antiderivative, exact to rounding.
 
     Two zeros closer than a 64th of the shortest wave may escape; the area between them does not matter.
@@ -74,7 +74,9 @@ def mean_magnitude(surface: Surface) -> float:
     return float(np.abs(np.diff(_antiderivative(surface, bounds))).sum() / (2.0 * math.pi))
 
 
-def _bisect(surface: Surface, low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
+def _bisect(
+    surface: FractalProfile, low: NDArray[np.float64], high: NDArray[np.float64]
+) -> NDArray[np.float64]:
     rises = surface.height(low) < 0.0
     for _ in range(ROOT_ITERATIONS):
         middle = 0.5 * (low + high)
@@ -83,7 +85,7 @@ def _bisect(surface: Surface, low: NDArray[np.float64], high: NDArray[np.float64
     return 0.5 * (low + high)
 
 
-def _antiderivative(surface: Surface, angle: NDArray[np.float64]) -> NDArray[np.float64]:
+def _antiderivative(surface: FractalProfile, angle: NDArray[np.float64]) -> NDArray[np.float64]:
     orders = surface.orders.astype(np.float64)
     phases = np.multiply.outer(angle, orders)
     return np.asarray(np.sin(phases) @ (surface.cosine / orders) - np.cos(phases) @ (surface.sine / orders))

@@ -6,16 +6,11 @@ import json
 from collections.abc import Iterable
 
 from gear_dynamics_ros import __version__
-from gear_dynamics_ros.channels import (
-    CHANNELS,
-    ENERGIES,
-    IMPACTS,
-    PACE,
-    Channel,
-)
+from gear_dynamics_ros.channels import CHANNELS, ENERGIES, IMPACTS, PACE, Channel
 from gear_dynamics_ros.messages.encoder import bearing_frame
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.simulation.engine import kernel_hash
+from gear_dynamics_ros.physics.kernel.sources import kernel_hash
+from gear_dynamics_ros.simulation.provenance import model_hash
 from gear_dynamics_ros.topics import TOPICS, resolve
 
 
@@ -29,6 +24,7 @@ def describe(parameters: Parameters, epoch_ns: int, node: str) -> str:
             "package": "gear_dynamics_ros",
             "version": __version__,
             "kernel_hash": kernel_hash(),
+            "model_hash": model_hash(),
             "epoch_ns": epoch_ns,
             "sample_interval_ns": solver.sample_interval_ns,
             "samples_per_chunk": solver.samples_per_chunk,

@@ -13,6 +13,7 @@ from mcap.records import Channel, Schema
 
 from gear_dynamics_ros.messages.cdr import TYPESTORE
 from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.simulation.provenance import Provenance
 from gear_dynamics_ros.topics import TOPICS, Topic, resolve
 
 METADATA_FILE: Final = "metadata.yaml"
@@ -50,18 +51,16 @@ class PartSummary(NamedTuple):
 class RunMetadata(NamedTuple):
     """What the MCAP metadata record RUN_METADATA holds."""
 
-    version: str
-    kernel_hash: str
+    provenance: Provenance
     epoch_ns: int
     node: str
     sample_interval_ns: int
-    processor: str = ""
-    compiler: str = ""
-    libraries: str = ""
 
     def to_text(self) -> dict[str, str]:
-        """Values as the text that MCAP stores."""
-        return {name: str(value) for name, value in self._asdict().items()}
+        """Values as the text that MCAP stores, those of the provenance first."""
+        own = self._asdict()
+        values = own.pop("provenance")._asdict() | own
+        return {name: str(value) for name, value in values.items()}
 
     def to_lines(self) -> bytes:
         """The same as lines ``name=value``, in this order."""
@@ -73,12 +72,17 @@ class RunMetadata(NamedTuple):
         if int(values["sample_interval_ns"]) <= 0:
             raise ValueError("sample_interval_ns must be positive")
         return cls(
-            version=values["version"],
-            kernel_hash=values["kernel_hash"],
+            provenance=Provenance(
+                version=values["version"],
+                kernel_hash=values["kernel_hash"],
+                **{
+                    name: values.get(name, "")
+                    for name in ("model_hash", "processor", "compiler", "libraries")
+                },
+            ),
             epoch_ns=int(values["epoch_ns"]),
             node=values["node"],
             sample_interval_ns=int(values["sample_interval_ns"]),
-            **{name: values.get(name, "") for name in ("processor", "compiler", "libraries")},
         )
 
 

@@ -66,12 +66,12 @@ class Recording:
     @property
     def version(self) -> str:
         """Version of the package that made the recording."""
-        return self.run.version
+        return self.run.provenance.version
 
     @property
     def kernel_hash(self) -> str:
         """SHA-256 of the source of the kernel that made the recording."""
-        return self.run.kernel_hash
+        return self.run.provenance.kernel_hash
 
     @property
     def sample_interval_ns(self) -> int:

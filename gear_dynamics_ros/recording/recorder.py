@@ -24,7 +24,7 @@ from gear_dynamics_ros.recording.digest import TOLD, History
 from gear_dynamics_ros.recording.layout import PartSummary, RunMetadata
 from gear_dynamics_ros.recording.mcap.writer import McapWriter
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint, StoredCheckpoint
-from gear_dynamics_ros.simulation.provenance import present
+from gear_dynamics_ros.simulation.provenance import current_provenance
 from gear_dynamics_ros.system.files import replace_text, sync_folder
 from gear_dynamics_ros.system.threads import name_thread
 from gear_dynamics_ros.topics import TOPICS, Topic
@@ -86,12 +86,11 @@ class Recorder:
     ) -> None:
         self._report = report
         self.path = Path(os.path.abspath(path))
-        origin = present()
         self._run = RunMetadata(
+            provenance=current_provenance(),
             epoch_ns=epoch_ns,
             node=node,
             sample_interval_ns=start.parameters.solver.sample_interval_ns,
-            **origin._asdict(),
         )
         self._topics = layout.recorded_topics(start.parameters, node)
         self._sequences: Counter[str] = Counter()
@@ -382,7 +381,7 @@ class _PartWriter:
         """Attachments and channels: whatever a reader needs before the first message."""
         self._mcap.add_metadata(layout.RUN_METADATA, run.to_text())
         parameters = dump_parameters(start.parameters)
-        state = StoredCheckpoint(start, present()).to_text()
+        state = StoredCheckpoint(start, current_provenance()).to_text()
         self._attach(run.epoch_ns, layout.PARAMETERS_ATTACHMENT, "yaml", parameters)
         self._attach(run.epoch_ns, layout.START_ATTACHMENT, "json", state)
         self._history = History(run.to_lines(), parameters.encode(), state.encode())
@@ -398,7 +397,7 @@ class _PartWriter:
     def keep(self, kept: _Keep, time_ns: int) -> None:
         """Attach a checkpoint, behind all messages before it, with the digest of what led to it."""
         self._mcap.end_chunk()
-        text = StoredCheckpoint(kept.checkpoint, present(), self._history.text()).to_text()
+        text = StoredCheckpoint(kept.checkpoint, current_provenance(), self._history.text()).to_text()
         self._attach(time_ns, kept.name, "json", text)
         self._history = History(text.encode())
 

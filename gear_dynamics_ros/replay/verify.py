@@ -25,9 +25,8 @@ from gear_dynamics_ros.recording.reader import Recording
 from gear_dynamics_ros.replay.mismatch import Mismatch
 from gear_dynamics_ros.replay.part_reader import Action, PartReader
 from gear_dynamics_ros.replay.resimulation import Resimulation
-from gear_dynamics_ros.simulation import provenance
 from gear_dynamics_ros.simulation.checkpoint import StoredCheckpoint
-from gear_dynamics_ros.simulation.provenance import Origin
+from gear_dynamics_ros.simulation.provenance import provenance_differences
 from gear_dynamics_ros.topics import OF_A_CHUNK
 
 T = TypeVar("T")
@@ -113,8 +112,7 @@ def verify_recording(
 
 def origins(recording: Recording) -> list[str]:
     """What of the program and the machine differs between the recording and this process, a line each."""
-    run = recording.run._asdict()
-    return provenance.differences(Origin(**{name: run[name] for name in Origin._fields}))
+    return provenance_differences(recording.run.provenance)
 
 
 class _SampleCount:

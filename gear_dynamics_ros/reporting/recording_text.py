@@ -17,7 +17,7 @@ def recording_lines(bag: Recording) -> Iterator[str]:
     )
     yield f"{bag.path}: {state}"
     yield f"version {bag.version}, kernel {bag.kernel_hash[:12]}, model {bag.parameters.model}"
-    yield f"made on {bag.run.processor or 'an unknown processor'}"
+    yield f"made on {bag.run.provenance.processor or 'an unknown processor'}"
     yield (
         f"{bag.end_sample - bag.first_sample} samples of {len(bag.channel_names)} channels every "
         f"{bag.sample_interval_ns} ns: {bag.duration_ns / 1e9:.6g} s from "

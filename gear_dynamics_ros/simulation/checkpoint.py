@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 from gear_dynamics_ros.chunk import Commands, Status
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.parameters import Parameters, differences, specifications, updated
-from gear_dynamics_ros.simulation.provenance import Origin, present
+from gear_dynamics_ros.simulation.provenance import Provenance, current_provenance
 from gear_dynamics_ros.system.files import replace_text
 
 FORMAT: Final = 3
@@ -83,7 +83,7 @@ class StoredCheckpoint(NamedTuple):
     """A checkpoint as it stands in a file or in a recording."""
 
     checkpoint: Checkpoint
-    provenance: Origin  # of the program that wrote it
+    provenance: Provenance  # of the program that wrote it
     digest: str = ""  # in a recording: SHA-256 of what led to it, hexadecimal; empty elsewhere
 
     def to_text(self) -> str:
@@ -108,7 +108,7 @@ class StoredCheckpoint(NamedTuple):
             provenance = _mapping(content["provenance"])
             return cls(
                 Checkpoint.from_tree(_mapping(content["checkpoint"])),
-                Origin(**{field: str(provenance[field]) for field in Origin._fields}),
+                Provenance(**{field: str(provenance[field]) for field in Provenance._fields}),
                 str(content["digest"]),
             )
         except GearboxError as error:
@@ -141,7 +141,7 @@ def save(path: Path, checkpoint: Checkpoint) -> None:
     if checkpoint.status is not Status.RUNNING:
         raise GearboxError("no checkpoint can be saved: the run has ended; reset it first")
     try:
-        replace_text(path, StoredCheckpoint(checkpoint, present()).to_text())
+        replace_text(path, StoredCheckpoint(checkpoint, current_provenance()).to_text())
     except OSError as error:
         raise GearboxError(
             f"checkpoint '{path}' can't be written: {error.strerror}: free space or choose another path"
@@ -167,13 +167,13 @@ def load(path: Path) -> StoredCheckpoint:
 def require_fitting(stored: StoredCheckpoint, running: Parameters) -> None:
     """Raise UsageError unless a gearbox with the parameters ``running`` can go on from ``stored``.
 
-    It can't under another kernel, nor where parameters differ that decide the physics and are fixed.
+    It can't under another model, nor where parameters differ that decide the physics and are fixed.
     """
-    theirs, ours = stored.provenance, present()
-    if theirs.kernel_hash != ours.kernel_hash:
+    theirs, ours = stored.provenance, current_provenance()
+    if theirs.model_hash != ours.model_hash:
         raise UsageError(
-            f"the checkpoint is of kernel {theirs.kernel_hash[:12]} (version {theirs.version}), this is "
-            f"{ours.kernel_hash[:12]} ({ours.version}): use the version that wrote it, or save a new one"
+            f"the checkpoint is of model {theirs.model_hash[:12]} (version {theirs.version}), this is "
+            f"{ours.model_hash[:12]} ({ours.version}): use the version that wrote it, or save a new one"
         )
     before = running.to_flat()
     for name, value in differences(running, stored.checkpoint.parameters).items():

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,16 +27,13 @@ from gear_dynamics_ros.parameters import (
     require_changeable,
     updated,
 )
-from gear_dynamics_ros.physics import derived, kernel
+from gear_dynamics_ros.physics.constants import aligned_zeros, excitation_table, kernel_constants
+from gear_dynamics_ros.physics.kernel import entry
+from gear_dynamics_ros.physics.kernel.records import CALL, POINT, STATE
+from gear_dynamics_ros.physics.kernel.substeps import IMPACTS_PER_STEP
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint, require_running
 
 IMPACTS_A_CALL = 256
-
-
-@cache
-def kernel_hash() -> str:
-    """SHA-256 of the kernel's source, as hexadecimal text."""
-    return hashlib.sha256(Path(kernel.__file__).read_bytes()).hexdigest()
 
 
 class Engine:
@@ -47,12 +41,12 @@ class Engine:
 
     def __init__(self, parameters: Parameters) -> None:
         self.parameters = parameters
-        self._excitations = derived.excitations(parameters)
-        self._constants = derived.constants(parameters, self._excitations)
+        self._excitations = excitation_table(parameters)
+        self._constants = kernel_constants(parameters, self._excitations)
         self._interval_ns = parameters.solver.sample_interval_ns
         wanted = max(COLUMN[name] for name in parameters.waveform_channels)
         self._columns = len(CHANNELS) if wanted < len(CHANNELS) else len(COLUMN)
-        most_a_sample = kernel.IMPACTS_PER_STEP * parameters.solver.steps_per_sample
+        most_a_sample = IMPACTS_PER_STEP * parameters.solver.steps_per_sample
         self._impacts = np.empty((most_a_sample + IMPACTS_A_CALL, len(IMPACTS)))
         self.sample = 0
         self.reset()
@@ -62,8 +56,8 @@ class Engine:
         operation = self.parameters.operation
         self.commands = Commands(operation.drive_torque, operation.load_torque, operation.speed)
         self.status = Status.RUNNING
-        self._points = derived.aligned_zeros((3,), kernel.POINT)
-        self._state = derived.aligned_zeros((1,), kernel.STATE)
+        self._points, self._call = aligned_zeros((3,), POINT), aligned_zeros((1,), CALL)
+        self._state = aligned_zeros((1,), STATE)
         state = self._state
         if operation.initial == "touching":
             r1, r2 = self._constants["base_radius"][0]
@@ -72,7 +66,7 @@ class Engine:
         state["governor"] = operation.drive_torque
         state["impact_speed"] = self._constants["minimum_impact_speed"]
         self.command(self.commands)
-        kernel.touch(self._constants, state, self._points, *self._excitations)
+        entry.start_touching(self._constants, state, self._points, *self._excitations)
 
     def command(self, commands: Commands) -> None:
         """Put ``commands`` in force from the next sample on."""
@@ -93,12 +87,14 @@ class Engine:
         require_changeable(old, parameters)
         # A -0.0 for a 0.0 counts as no difference, and must make none to the bits either.
         new = updated(old, differences(old, parameters))
-        excitations = derived.excitations(new)
-        constants = derived.constants(new, excitations)
-        stored = kernel.look_before(self._constants, self._state, self._points, *self._excitations)
+        excitations = excitation_table(new)
+        constants = kernel_constants(new, excitations)
+        stored = entry.evaluate_before_change(self._constants, self._state, self._points, *self._excitations)
         self.parameters, self._constants, self._excitations = new, constants, excitations
         self._hand_over(old.operation, new.operation)
-        kernel.adapt(constants, self._state, self._points, *excitations, self._impacts, stored)
+        entry.adapt_to_change(
+            constants, self._state, self._points, *excitations, self._call, self._impacts, stored
+        )
 
     def _hand_over(self, old: OperationParameters, new: OperationParameters) -> None:
         torque = float(self._state["drive_torque"][0])
@@ -129,7 +125,7 @@ class Engine:
         first, written = self.sample, 0
         # A call ends early, at a sample, where its room for impacts might not suffice.
         while True:
-            done, status = kernel.run(
+            done, status = entry.integrate(
                 self._constants,
                 self._state,
                 self._points,
@@ -139,9 +135,10 @@ class Engine:
                 rows[written:],
                 angles[written:],
                 energies,
+                self._call,
                 self._impacts,
             )
-            impacts.append(self._impacts[: self._state["listed"][0]].copy())
+            impacts.append(self._impacts[: self._call["listed"][0]].copy())
             written += done
             if written == count or status != Status.RUNNING:
                 break
@@ -222,11 +219,11 @@ def require_resumable(checkpoint: Checkpoint) -> None:
     _state(checkpoint)
 
 
-_STATE_NAMES = kernel.STATE.names or ()
+_STATE_NAMES = STATE.names or ()
 
 
 def _state(checkpoint: Checkpoint) -> NDArray[Any]:
-    state = derived.aligned_zeros((1,), kernel.STATE)
+    state = aligned_zeros((1,), STATE)
     try:
         for name in _STATE_NAMES:
             state[name] = checkpoint.state[name]

@@ -17,11 +17,10 @@ from gear_dynamics_ros.analysis.statistics import Envelope, Quantities, Statisti
 from gear_dynamics_ros.analysis.summary import TimeSpan, steady_window
 from gear_dynamics_ros.channels import CHANNEL_NAMES, COLUMN
 from gear_dynamics_ros.chunk import Commands, Samples
-from gear_dynamics_ros.cli import analyze
 from gear_dynamics_ros.cli.analyze import analyze_main
 from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.physics.derived import base_radii
+from gear_dynamics_ros.physics.constants import base_radii
 from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.simulation.engine import Engine
 from support.recordings import following, record
@@ -256,7 +255,7 @@ def test_a_recording_without_the_ledger_has_none(tmp_path: Path) -> None:
 
 def test_analyze_takes_energies_as_channels(tmp_path: Path) -> None:
     loaded(tmp_path / "bag", Parameters.from_flat({"waveform_channels": tuple(COLUMN)}), 8)
-    assert analyze.main([str(tmp_path / "bag"), "--output", str(tmp_path / "out")]) == 0
+    assert analyze_main([str(tmp_path / "bag"), "--output", str(tmp_path / "out")]) == 0
     found = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
     assert found["run"]["channels"]["kinetic_energy"]["unit"] == "J"
 
@@ -274,7 +273,7 @@ def test_analyze_takes_the_window_asked_for(bag: Path, tmp_path: Path) -> None:
 def test_analyze_draws_what_a_subset_of_channels_allows(tmp_path: Path) -> None:
     parameters = Parameters.from_flat({"waveform_channels": ("time", "dte", "mesh_force")})
     loaded(tmp_path / "bag", parameters, 8)
-    assert analyze.main([str(tmp_path / "bag"), "--output", str(tmp_path / "out")]) == 0
+    assert analyze_main([str(tmp_path / "bag"), "--output", str(tmp_path / "out")]) == 0
     drawn = {path.stem for path in (tmp_path / "out").glob("*.png")}
     assert drawn == {"overview", "time_series", "spectrum"}
     found = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))

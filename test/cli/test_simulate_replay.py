@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.cli.replay import replay_main as replay_main
-from gear_dynamics_ros.cli.simulate import simulate_main as simulate_main
+from gear_dynamics_ros.cli.replay import replay_main
+from gear_dynamics_ros.cli.simulate import simulate_main
 from gear_dynamics_ros.parameters import Parameters, load_parameters, updated
 from gear_dynamics_ros.replay.verify import verify_recording
 from gear_dynamics_ros.simulation.engine import Engine
@@ -127,7 +127,7 @@ def test_a_signal_leaves_a_complete_recording_even_if_repeated(
     running.signal(number)
     running.signal(number)
     assert running.wait() == 128 + number
-    assert f"broken off by {signal.Signals(number).name}" in running.stderr
+    assert f"interrupted by {signal.Signals(number).name}" in running.stderr
     assert "Traceback" not in running.stderr
     bag = recording.open(path)
     assert bag.complete and bag.events[-1].message.startswith(signal.Signals(number).name)

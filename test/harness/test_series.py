@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.harness.profile import Profile, load_profile
-from gear_dynamics_ros.harness.series import CommandSeries, load_series
+from gear_dynamics_ros.harness.series import CommandSeries, hold_last_value, interpolate_linear, load_series
 
 MakeProfile = Callable[..., Profile]
 finite = st.floats(-1e6, 1e6)
@@ -115,11 +115,11 @@ def test_both_interpolations_against_a_search_by_hand(
     times = np.concatenate([[0.0], np.cumsum([step for step, _ in rows]) * 1e-6])
     series = CommandSeries(times, np.array([first, *(value for _, value in rows)]))
     before = max(row for row in range(len(times)) if times[row] <= time)
-    assert held(series, time) == series.values[before]
+    assert hold_last_value(series, time) == series.values[before]
     expected = np.interp(time, times, series.values)
-    assert linear(series, time) == pytest.approx(expected, rel=1e-12, abs=1e-9)
-    assert linear(series, times[before]) == series.values[before]
-    assert linear(series, times[-1] + time) == series.values[-1]
+    assert interpolate_linear(series, time) == pytest.approx(expected, rel=1e-12, abs=1e-9)
+    assert interpolate_linear(series, times[before]) == series.values[before]
+    assert interpolate_linear(series, times[-1] + time) == series.values[-1]
 
 
 def test_load_series_reads_what_numpy_reads(tmp_path: Path) -> None:

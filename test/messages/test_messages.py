@@ -16,13 +16,10 @@ from gear_dynamics_ros.channels import (
     ENERGIES,
     IMPACTS,
 )
-from gear_dynamics_ros.chunk import Chunk, Commands, Counters
-)
 from gear_dynamics_ros.chunk import (
     Chunk,
     Commands,
     Counters,
-    Status,
 )
 from gear_dynamics_ros.messages.cdr import (
     deserialize,

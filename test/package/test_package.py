@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import pytest
 from catkin_pkg.package import parse_package
-from conftest import executable
 from packaging.requirements import Requirement
 
 import gear_dynamics_ros
@@ -172,13 +171,13 @@ def test_manifest_agrees_with_the_package() -> None:
 def syntax(*folders: str) -> Iterator[ast.AST]:
     """Every node of the Python files below ``folders``."""
     for folder in folders:
-        for path in (SOURCE / folder).rglob("*.py"):
+        for path in (ROOT / folder).rglob("*.py"):
             yield from ast.walk(ast.parse(path.read_text(encoding="utf-8")))
 
 
 def imports(*folders: str) -> set[str]:
     """Top-level names that the Python files below ``folders`` import from elsewhere."""
-    helpers = {path.stem for folder in ("test", "benchmarks") for path in (SOURCE / folder).rglob("*")}
+    helpers = {path.stem for folder in ("test", "benchmarks") for path in (ROOT / folder).rglob("*")}
     found: set[str] = set()
     for node in syntax(*folders):
         match node:
@@ -198,7 +197,7 @@ def imports(*folders: str) -> set[str]:
     ids=["package", "tests"],
 )
 def test_manifest_names_what_is_imported(folders: tuple[str, ...], kinds: tuple[str, ...]) -> None:
-    manifest = parse_package(str(SOURCE))
+    manifest = parse_package(str(ROOT))
     declared = {dependency.name for kind in kinds for dependency in getattr(manifest, kind)}
     used = imports(*folders)
     assert used >= {"numpy", "rclpy", "std_msgs"}
@@ -211,11 +210,11 @@ def test_manifest_names_the_packages_of_all_message_types() -> None:
     types = (re.fullmatch(r"(\w+)/msg/[A-Z]\w*", text) for text in texts if isinstance(text, str))
     packages = {found[1] for found in types if found}
     assert packages >= {"geometry_msgs", "std_msgs"}
-    assert packages - {dependency.name for dependency in parse_package(str(SOURCE)).exec_depends} == set()
+    assert packages - {dependency.name for dependency in parse_package(str(ROOT)).exec_depends} == set()
 
 
 def test_constraints_for_ubuntu_pin_what_pip_installs() -> None:
-    lines = (SOURCE / "constraints-ubuntu-24.04.txt").read_text(encoding="utf-8").splitlines()
+    lines = (ROOT / "constraints-ubuntu-24.04.txt").read_text(encoding="utf-8").splitlines()
     pinned = dict(line.split("==") for line in lines if not line.startswith("#"))
     assert set(FROM_PIP.values()) <= pinned.keys()
     assert int(pinned["numpy"].partition(".")[0]) < 2

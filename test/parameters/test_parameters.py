@@ -529,7 +529,7 @@ def test_a_file_that_can_t_be_read_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="can't be read: Is a directory"):
         load_parameters(tmp_path)
     (tmp_path / "latin.yaml").write_bytes("/**: \N{MICRO SIGN}".encode("latin-1"))
-    with pytest.raises(UsageError, match="no UTF-8 text"):
+    with pytest.raises(UsageError, match="not UTF-8 text"):
         load_parameters(tmp_path / "latin.yaml")
 
 

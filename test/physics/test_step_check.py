@@ -8,10 +8,12 @@ from typing import Any
 
 import pytest
 
-from gear_dynamics_ros.cli.simulate import main as simulate_main
 from gear_dynamics_ros.cli.simulate import simulate_main
 from gear_dynamics_ros.parameters import Parameters, load_parameters
-from gear_dynamics_ros.physics import derived, kernel, step_check
+from gear_dynamics_ros.physics import step_check
+from gear_dynamics_ros.physics.advice import parameter_warnings
+from gear_dynamics_ros.physics.constants import hertz_factor
+from gear_dynamics_ros.physics.kernel.film import capone_film
 from support.paths import CONFIG
 
 STEADY = {"mesh.stiffness_cos": [0.0], "model": "traditional"}
@@ -27,7 +29,7 @@ def hertz(changes: dict[str, Any]) -> float:
 @pytest.mark.parametrize("config", ["gearbox.yaml", "paper.yaml"])
 @pytest.mark.parametrize("model", ["traditional", "compared", "improved"])
 def test_the_packages_configurations_need_no_warning(config: str, model: str) -> None:
-    assert step_check.warnings(load_parameters(CONFIG / config, [f"model={model}"])) == []
+    assert parameter_warnings(load_parameters(CONFIG / config, [f"model={model}"])) == []
 
 
 @pytest.mark.parametrize(
@@ -47,13 +49,13 @@ def test_the_mesh_counts_at_its_stiffest() -> None:
 
 def test_the_hertz_contact_carries_the_static_load() -> None:
     p = Parameters.from_flat({"model": "compared"})
-    depth, load_parameters = step_check.static_depth(p, "driving"), 532.088886
+    depth, load = step_check.static_depth(p, "driving"), 532.088886
 
     def force(depth: float) -> float:
         bearing = p.bearings.driving
-        return derived.hertz_factor(p, bearing.length) * depth**1.5 / math.sqrt(bearing.clearance + depth)
+        return hertz_factor(p, bearing.length) * depth**1.5 / math.sqrt(bearing.clearance + depth)
 
-    assert force(depth) == pytest.approx(load_parameters, rel=1e-8)
+    assert force(depth) == pytest.approx(load, rel=1e-8)
     slope = (force(depth * 1.0001) - force(depth * 0.9999)) / (0.0002 * depth)
     assert step_check.contact_stiffness(p, "driving") == pytest.approx(slope, rel=1e-6)
 
@@ -66,7 +68,7 @@ def test_unloaded_contacts_have_no_stiffness() -> None:
 @pytest.mark.parametrize("eps", [0.0, 0.18, 0.9])
 def test_film_damping_is_the_kernels(eps: float) -> None:
     speed = 1e-3
-    fx, _ = kernel.film_force(1.0, 0.0, eps, 0.0, speed, 0.0)
+    fx, _ = capone_film(1.0, 0.0, eps, 0.0, speed, 0.0)
     assert step_check.film_damping(1.0, eps) == pytest.approx(-fx / speed, rel=1e-12)
 
 

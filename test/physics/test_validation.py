@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from gear_dynamics_ros.physics import kernel
+from gear_dynamics_ros.physics.kernel.film import capone_film
 from gear_dynamics_ros.physics.restitution import damping_factor
 from support.measurements import GROUPS, delivered_restitution, film_by_quadrature, ocvirk
 
@@ -24,7 +24,7 @@ angles = st.floats(-math.pi, math.pi)
 
 @given(st.floats(1e-6, 0.98), angles, st.floats(0.1, 5000.0))
 def test_steady_film_is_ocvirk_at_any_angle(eps: float, angle: float, w: float) -> None:
-    fx, fy = kernel.film_force(1.0, w, eps * math.cos(angle), eps * math.sin(angle), 0.0, 0.0)
+    fx, fy = capone_film(1.0, w, eps * math.cos(angle), eps * math.sin(angle), 0.0, 0.0)
     radial = -(fx * math.cos(angle) + fy * math.sin(angle))
     across = -fx * math.sin(angle) + fy * math.cos(angle)
     magnitude, attitude = ocvirk(eps)
@@ -40,14 +40,14 @@ def test_moving_film_is_the_pressure_integral(
     ex, ey = eps * math.cos(angle), eps * math.sin(angle)
     ux, uy = v * math.cos(way), v * math.sin(way)
     assume(math.hypot(w * ex - 2.0 * uy, w * ey + 2.0 * ux) > 1e-3)
-    measured = kernel.film_force(1.0, w, ex, ey, ux, uy)
+    measured = capone_film(1.0, w, ex, ey, ux, uy)
     # a shaft that turns the other way is the same bearing seen in a mirror
     fx, fy = film_by_quadrature(ex, w * ey, ux, w * uy)
     assert math.dist(measured, (fx, w * fy)) <= 1e-8 * math.hypot(fx, fy)
 
 
 def test_film_at_rest_carries_nothing() -> None:
-    assert kernel.film_force(1.0, 0.0, 0.5, 0.1, 0.0, 0.0) == (0.0, 0.0)
+    assert capone_film(1.0, 0.0, 0.5, 0.1, 0.0, 0.0) == (0.0, 0.0)
 
 
 @given(st.floats(0.05, 1.0))

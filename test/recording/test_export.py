@@ -17,14 +17,8 @@ import pytest
 from pyarrow import parquet
 
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.channels import (
-    CHANNEL_NAMES,
-    CHANNELS,
-    ENERGIES,
-    IMPACTS,
-)
+from gear_dynamics_ros.channels import CHANNEL_NAMES, CHANNELS, ENERGIES, IMPACTS
 from gear_dynamics_ros.chunk import Commands
-from gear_dynamics_ros.cli.replay import main as replay_main
 from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import Parameters, dump_parameters, updated

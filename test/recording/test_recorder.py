@@ -216,12 +216,12 @@ def test_a_ring_writes_the_last_of_a_run_and_goes_on(tmp_path: Path) -> None:
     run = Run(engine, Encoder(parameters, 0))
     recordings = RecordingControl(run, 0, "/cell/box")
     with pytest.raises(GearboxError, match="there is no ring"):
-        recording_control.cut()
-    recording_control.arm()
+        recordings.cut()
+    recordings.arm()
     for steps, name in ((3, "bag"), (40, "bag_2")):
         for _ in range(steps):
             run.step()
-        path = recording_control.write(recording_control.cut())
+        path = recordings.write(recordings.cut())
         assert path == tmp_path / name
         found = recording.open(path)
         assert found.complete and found.node == "/cell/box"
@@ -229,8 +229,8 @@ def test_a_ring_writes_the_last_of_a_run_and_goes_on(tmp_path: Path) -> None:
         assert min(engine.sample, 16 * CHUNK) <= found.end_sample - found.first_sample <= 18 * CHUNK
         assert found.commands[0][1] == engine.commands
         assert verify_recording(found).difference is None
-    assert recording_control.ring is not None and 16 * CHUNK <= recording_control.ring.samples <= 18 * CHUNK
-    assert recording_control.ring.size < 19 * 50_000
+    assert recordings.ring is not None and 16 * CHUNK <= recordings.ring.samples <= 18 * CHUNK
+    assert recordings.ring.size < 19 * 50_000
 
 
 def test_a_ring_forgets(tmp_path: Path) -> None:

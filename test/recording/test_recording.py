@@ -33,7 +33,7 @@ from gear_dynamics_ros.recording import recorder as recorder_module
 from gear_dynamics_ros.recording.mcap import writer
 from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint
-from gear_dynamics_ros.simulation.engine import kernel_hash
+from gear_dynamics_ros.simulation.provenance import current_provenance
 from gear_dynamics_ros.topics import TOPICS, resolve
 from support.chunks import COMMANDS, NO_COUNTERS, chunk_of, noise
 from support.every_topic import EPOCH_NS, extra_records
@@ -56,7 +56,7 @@ def samples_of(numbers: range) -> np.ndarray[Any, Any]:
 
 def start_at(sample: int, parameters: Parameters | None = None) -> Checkpoint:
     state = {"numbers": [0.1, -1e-300, 3.0000000000000004]}
-    return Checkpoint(sample, Status.RUNNING, FIRST, state, parameters or Parameters())
+    return Checkpoint(sample, Status.RUNNING, COMMANDS, state, parameters or Parameters())
 
 
 def equal(left: np.ndarray[Any, Any], right: np.ndarray[Any, Any]) -> bool:
@@ -100,7 +100,8 @@ def test_keeps_what_is_needed_to_run_it_again(bag: Path) -> None:
     assert read.parameters == Parameters()
     assert read.start == start_at(0)
     assert read.version == __version__
-    assert read.kernel_hash == kernel_hash()
+    assert read.run.provenance == current_provenance()
+    assert read.kernel_hash == current_provenance().kernel_hash
     assert (read.epoch_ns, read.sample_interval_ns, read.node) == (EPOCH_NS, 10_000, "/gearbox")
 
 
@@ -321,10 +322,10 @@ RUN = """
 import json, resource, sys, time
 from pathlib import Path
 import numpy as np
-from gear_dynamics_ros.messages import Encoder
+from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.recording.writer import Recorder
-from gear_dynamics_ros.signals import IMPACTS
+from gear_dynamics_ros.recording.recorder import Recorder
+from gear_dynamics_ros.channels import IMPACTS
 from support.chunks import chunk_of, noise
 def make_chunk(number):
     return chunk_of(number * 200, noise(number, 200), impacts=np.zeros((1, len(IMPACTS))))
@@ -373,7 +374,7 @@ def child(code: str, *arguments: object) -> subprocess.Popen[str]:
 
 
 def test_kill_9_loses_nothing_that_was_flushed_and_flushes_come_by_themselves(tmp_path: Path) -> None:
-    assert recorder_module.FLUSH_SECONDS <= 1.0  # the promise: at most the last second is lost
+    assert writer.FLUSH_SECONDS <= 1.0  # the promise: at most the last second is lost
     with child(UNTIL_KILLED, tmp_path / "bag") as process:
         try:
             assert process.stdout is not None

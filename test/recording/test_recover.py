@@ -36,7 +36,6 @@ from rosbags.rosbag2 import Reader
 
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.chunk import Commands
-from gear_dynamics_ros.cli.replay import main as replay_main
 from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.cdr import deserialize, serialize
@@ -47,13 +46,6 @@ from gear_dynamics_ros.recording.layout import RunMetadata
 from gear_dynamics_ros.recording.mcap import writer
 from gear_dynamics_ros.recording.mcap.index import ending, read_index, read_metadata
 from gear_dynamics_ros.recording.mcap.records import encode, read_attachment, read_chunk
-from gear_dynamics_ros.recording.mcap.survey import (
-    encode,
-    ending,
-    read_attachment,
-    read_chunk,
-    read_metadata,
-)
 from gear_dynamics_ros.recording.recover import Recovery, SampleRange, default_target, recover
 from gear_dynamics_ros.replay.verify import verify_recording
 from gear_dynamics_ros.simulation.engine import Engine
@@ -609,8 +601,8 @@ FORK_AND_KILL = """
 # Let 20 processes record and kill each at a random moment; print what each had on the disk.
 import json, os, random, signal, struct, sys, time
 from pathlib import Path
-from gear_dynamics_ros.engine import Engine
 from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.simulation.engine import Engine
 from support.recordings import Recorded
 epoch_ns, channels = int(sys.argv[2]), sys.argv[3].split(",")
 parameters = Parameters.from_flat({"waveform_channels": channels})

@@ -17,6 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from matplotlib.figure import Figure
 from PIL import Image
 
 from gear_dynamics_ros import recording
@@ -24,18 +25,13 @@ from gear_dynamics_ros.analysis import figures
 from gear_dynamics_ros.analysis.comparison import ChannelDifference, Comparison
 from gear_dynamics_ros.channels import CHANNEL_NAMES
 from gear_dynamics_ros.chunk import Commands, Samples
-from gear_dynamics_ros.cli.replay import main as replay_main
 from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.recording.recorder import Recorder
-from gear_dynamics_ros.replay import diff
-from gear_dynamics_ros.replay.pairing import (
-    BY_START,
-    BY_TIME,
-    pair,
-    side_by_side,
-)
+from gear_dynamics_ros.replay.diff import compare_recordings
+from gear_dynamics_ros.replay.diff_files import channels_to_draw, write_difference
+from gear_dynamics_ros.replay.pairing import BY_START, BY_TIME, pair, side_by_side
 from gear_dynamics_ros.simulation.engine import Engine
 from support.chunks import record_odd
 from support.recordings import SHORT, following, record
@@ -202,17 +198,17 @@ def test_a_changed_parameter_is_told_with_its_sample(
     assert found["channels"]["dte"]["unit"] == "m"
 
 
-def test_the_figure_shows_growth_and_overlay(folder: Path) -> None:
+def test_the_figure_shows_growth_and_overlay(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     a, b = (recording.open(folder / name) for name in ("plain", "changed"))
-    compared = diff.compare(pair(a, b, BY_TIME, None, None), lambda _: None)
-    shown = diff.chosen(compared.differences)
+    compared = compare_recordings(pair(a, b, BY_TIME, None, None))
+    drawn: list[Figure] = []
+    monkeypatch.setattr(figures, "write_png", lambda figure, stream: drawn.append(figure))
+    write_difference(compared, tmp_path, BY_TIME)
+    (figure,) = drawn
+    shown = channels_to_draw(compared.differences)
     name = shown[0]
-    figure = figures.divergence(
-        compared.envelope,
-        {name: compared.differences[name] for name in shown},
-        compared.pair.interval,
-        diff.close_views(compared, name),
-    )
     growth = figure.axes[: len(shown)]
     assert "dte" in shown and len(shown) >= 3
     for axis, channel in zip(growth, shown, strict=True):
@@ -222,14 +218,15 @@ def test_the_figure_shows_growth_and_overlay(folder: Path) -> None:
         np.testing.assert_allclose(curve.get_xdata(), np.arange(240) * 1e-5, atol=1e-12)
         np.testing.assert_array_equal(curve.get_ydata(), np.where(apart > 0.0, apart, np.nan))
         marks = {str(line.get_label()).partition("\n")[0]: line for line in axis.get_lines()}
-        first = compared.differences[channel].first
+        first = compared.differences[channel].first_difference
         assert first is not None and first >= 90
         assert marks["first differs"].get_xdata()[0] == pytest.approx(first * 1e-5)
         assert marks["RMS of A"].get_ydata()[0] == pytest.approx(np.sqrt(np.mean(left**2)))
         assert axis.get_yscale() == "log" and axis.get_ylabel().startswith(f"{channel}\n(")
     assert growth[-1].get_xlabel() == "simulated time (s)"
 
-    first = compared.differences[name].first
+    first = compared.differences[name].first_difference
+    assert first is not None
     left, right = a.window()[name], b.window()[name]
     scale = 1e6 if name == "dte" else 1.0
     values, apart = (axis for axis in figure.axes[len(shown) :][:2])

@@ -19,7 +19,6 @@ from mcap.reader import make_reader
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.channels import CHANNEL_NAMES, COLUMN
 from gear_dynamics_ros.chunk import Commands
-from gear_dynamics_ros.cli.replay import main as replay_main
 from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.encoder import Encoder
@@ -338,8 +337,8 @@ def test_the_digests_are_those_that_the_documentation_describes(bag: Path) -> No
                 if channel.topic not in NOT_TOLD
             ]
             (run,) = (record.metadata for record in reader.iter_metadata() if record.name != "rosbag2")
-        names = ("version", "kernel_hash", "epoch_ns", "node", "sample_interval_ns")
-        lines = [f"{name}={run[name]}\n" for name in (*names, "processor", "compiler", "libraries")]
+        names = ("version", "kernel_hash", "model_hash", "processor", "compiler", "libraries")
+        lines = [f"{name}={run[name]}\n" for name in (*names, "epoch_ns", "node", "sample_interval_ns")]
         opening = numbered("".join(lines).encode())
         opening += numbered(attached["parameters.yaml"].data) + numbered(attached["start.json"].data)
         begin = int(json.loads(attached["start.json"].data)["checkpoint"]["sample"]) * 10_000
@@ -487,7 +486,7 @@ def test_from_behind_a_lost_chunk_goes_on(bag: Path, tmp_path: Path) -> None:
 def test_a_recording_without_a_message_verifies_unless_it_broke_off(tmp_path: Path) -> None:
     parameters = Parameters.from_flat(SHORT)
     engine = Engine(parameters)
-    RecorderSink(Recorder(tmp_path / "bag", parameters, engine.checkpoint(), 0), engine).close()
+    RecorderSink(Recorder(tmp_path / "bag", engine.checkpoint(), 0), engine).close()
     result = verify_recording(recording.open(tmp_path / "bag"))
     assert (result.difference, result.samples, result.states) == (None, 0, 1)
     content = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
@@ -588,7 +587,8 @@ def test_a_difference_is_told_with_both_values_and_what_else_differs(
 def test_another_processor_or_kernel_is_named(bag: Path) -> None:
     read = recording.open(bag)
     assert origins(read) == []
-    read.run = read.run._replace(processor="an abacus", kernel_hash="0" * 64)
+    other = read.run.provenance._replace(processor="an abacus", kernel_hash="0" * 64)
+    read.run = read.run._replace(provenance=other)
     kernel, processor = origins(read)
     assert kernel.startswith("kernel hash: recorded by 000")
     assert processor.startswith("processor: recorded by an abacus, this is ")
@@ -722,7 +722,7 @@ def test_commands_of_the_start_told_otherwise_are_found(tmp_path: Path, name: st
     whole = perform(
         tmp_path / "bag", ["step"], Parameters.from_flat({**SHORT, "operation.control": "torque"})
     )
-    change = in_json("start.json", lambda content: bump_entry(content["commands"], name))
+    change = in_json("start.json", lambda content: bump_entry(content["checkpoint"]["commands"], name))
     difference = verify_recording(recording.open(alter(whole, tmp_path / "x", attachment=change))).difference
     assert difference is not None and name in difference.what
 

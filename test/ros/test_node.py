@@ -19,14 +19,14 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from gear_dynamics_ros import recording
+from gear_dynamics_ros import recording, replay
 from gear_dynamics_ros.channels import CHANNEL_NAMES, COLUMN, PACE
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages.cdr import stamp_ns
 from gear_dynamics_ros.parameters import specifications
 from gear_dynamics_ros.replay.verify import verify_recording
-from gear_dynamics_ros.simulation import checkpoints
+from gear_dynamics_ros.simulation import checkpoint
 from gear_dynamics_ros.topics import COMMAND_TOPICS, TOPICS, resolve
 from support.gearbox import INTERVAL_NS, OUTPUTS, PATIENCE, Client, Peer, shared_gearbox, start_gearbox
 from support.processes import Process, StartProcess
@@ -372,9 +372,9 @@ def test_a_checkpoint_is_saved_and_restored_with_its_parameters_and_commands(
     saved = client.trigger("save_checkpoint")
     file = shared.bag.with_name("bag.json")
     assert saved.success and str(file) in saved.message
-    taken = checkpoints.load(file).checkpoint
-    assert float(saved.message.split()[-2]) == pytest.approx(taken["sample"] * 1e-5)
-    client.until(lambda: client.sample() >= taken["sample"])
+    taken = checkpoint.load(file).checkpoint
+    assert float(saved.message.split()[-2]) == pytest.approx(taken.sample * 1e-5)
+    client.until(lambda: client.sample() >= taken.sample)
     other = {"oil.viscosity": 0.001, "mesh.error_cos": [1e-6], "operation.load_torque": 33.0}
     before = client.get_all(list(other))
     assert client.put_all(other).successful
@@ -384,11 +384,11 @@ def test_a_checkpoint_is_saved_and_restored_with_its_parameters_and_commands(
     assert restored.success, restored.message
     client.until(lambda: client.events()[-1]["event"] == "restore")
     at = client.events()[-1]["sample"]
-    client.until(lambda: client.sample() >= max(at, taken["sample"]) + CHUNK)
+    client.until(lambda: client.sample() >= max(at, taken.sample) + CHUNK)
     assert client.get_all(list(other)) == before
     assert [event["event"] for event in client.events()[known:]] == ["parameters", "restore"]
     rows, index = client.rows(), client.indices()
-    (old,), (new,) = rows[index == taken["sample"]], rows[index == at]
+    (old,), (new,) = rows[index == taken.sample], rows[index == at]
     np.testing.assert_array_equal(old[1:], new[1:])
     assert rows[-1][COLUMN["load_torque"]] == 42.0
 
@@ -432,14 +432,14 @@ def test_recording_can_be_split_switched_off_and_on(
         assert [event.kind for event in first.events] == ["start", "pause", "resume", "reset"]
         ((_, command),) = first.messages("load_torque_command")
         assert command.data == 12.5
-        assert verify_recording(first).difference is None
+        assert replay.verify(first).difference is None
         assert client.switch("record", True).message == f"recording to {tmp_path / 'bag_2'}"
         client.hear("waveform", 2)
         node.signal(signal.SIGINT)
         assert node.wait() == 0
     second = recording.open(tmp_path / "bag_2")
     assert second.complete and second.first_sample >= first.end_sample
-    assert verify_recording(second).difference is None
+    assert replay.verify(second).difference is None
 
 
 def test_sigint_twice_leaves_a_complete_recording(

@@ -16,10 +16,10 @@ from urdf_parser_py.urdf import URDF
 from gear_dynamics_ros.messages.cdr import deserialize
 from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.physics.derived import base_radii
+from gear_dynamics_ros.physics.constants import base_radii
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.topics import JOINT_STATE, WRENCH
-from gear_dynamics_ros.urdf import main, urdf
+from gear_dynamics_ros.urdf.__main__ import urdf_main
 from gear_dynamics_ros.urdf.description import robot_description
 from support.gearbox import Peer, start_gearbox
 from support.paths import ROOT
@@ -73,7 +73,7 @@ def crossing(points, through, along):
 
 
 def test_the_shipped_file_is_what_the_defaults_print(capsys):
-    assert main([]) == 0
+    assert urdf_main([]) == 0
     assert capsys.readouterr().out == (ROOT / "urdf/gearbox.urdf").read_text()
 
 
@@ -214,7 +214,7 @@ def test_the_block_commands_a_running_gearbox(ros_domain, process):
     start = ("operation.speed:=900.0", "operation.load_torque:=12.0", "pacing.real_time_factor:=0.2")
     gearbox = start_gearbox(process, *start)
     values = {"operation.speed": 900.0, "operation.load_torque": 12.0}
-    block = ElementTree.fromstring(urdf(Parameters.from_flat(values))).find("ros2_control")
+    block = ElementTree.fromstring(robot_description(Parameters.from_flat(values))).find("ros2_control")
     with Plugin(block) as plugin:
         plugin.until(lambda: plugin.states and plugin.applied)
         assert set(plugin.joints) == set(plugin.states[0].name)

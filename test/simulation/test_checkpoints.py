@@ -15,14 +15,14 @@ from hypothesis import strategies as st
 
 from gear_dynamics_ros import __version__, recording
 from gear_dynamics_ros.chunk import Commands
-from gear_dynamics_ros.cli.simulate import main as simulate
 from gear_dynamics_ros.cli.simulate import simulate_main as simulate
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.parameters import Parameters, Specification, specifications, updated
-from gear_dynamics_ros.physics import derived
+from gear_dynamics_ros.physics.constants import excitation_table, kernel_constants
 from gear_dynamics_ros.replay.verify import verify_recording
-from gear_dynamics_ros.simulation import checkpoint, checkpoints
-from gear_dynamics_ros.simulation.engine import Engine, kernel_hash
+from gear_dynamics_ros.simulation import checkpoint
+from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.provenance import model_hash
 
 LIGHT = {"operation.drive_torque": 3.0, "operation.load_torque": 3.0}
 
@@ -53,7 +53,7 @@ def test_a_fresh_engine_goes_on_bit_for_bit(
 
     saved = checkpoint.load(tmp_path / "state.json")
     assert saved.checkpoint.parameters == engine.parameters
-    assert (saved.provenance.version, saved.provenance.kernel_hash) == (__version__, kernel_hash())
+    assert (saved.provenance.version, saved.provenance.model_hash) == (__version__, model_hash())
     fresh = Engine(saved.checkpoint.parameters)
     fresh.resume(saved.checkpoint)
     again = fresh.advance(500)
@@ -106,8 +106,8 @@ def test_an_ended_run_is_not_saved() -> None:
         b"\xff\xfe",
         b"[]",
         b"{}",
-        b'{"version": "1", "kernel_hash": "", "parameters": {}, "checkpoint": 3}',
-        b'{"version": "1", "kernel_hash": "", "parameters": {"gears.modul": 1.0}, "checkpoint": {}}',
+        b'{"version": "1", "model_hash": "", "parameters": {}, "checkpoint": 3}',
+        b'{"version": "1", "model_hash": "", "parameters": {"gears.modul": 1.0}, "checkpoint": {}}',
     ],
 )
 def test_what_is_no_checkpoint_is_refused_in_one_line(tmp_path: Path, content: bytes) -> None:
@@ -120,11 +120,11 @@ def test_what_is_no_checkpoint_is_refused_in_one_line(tmp_path: Path, content: b
         checkpoint.load(tmp_path / "other.json")
 
 
-def test_another_kernel_or_another_gearbox_is_refused(file: Path) -> None:
+def test_another_model_or_another_gearbox_is_refused(file: Path) -> None:
     saved = checkpoint.load(file)
     checkpoint.require_fitting(saved, saved.checkpoint.parameters)
-    with pytest.raises(UsageError, match=r"kernel 000000000000 \(version 0\.1\)"):
-        other = saved.provenance._replace(kernel_hash="0" * 64, version="0.1")
+    with pytest.raises(UsageError, match=r"model 000000000000 \(version 0\.1\)"):
+        other = saved.provenance._replace(model_hash="0" * 64, version="0.1")
         checkpoint.require_fitting(saved._replace(provenance=other), saved.checkpoint.parameters)
     for name, value in {"gears.driven.teeth": 41, "model": "improved", "solver.step": 5e-7}.items():
         with pytest.raises(UsageError, match=rf"^{name} = {value}|^{name} = '{value}'"):
@@ -147,8 +147,8 @@ def test_what_does_not_decide_the_physics_stays_with_who_goes_on(file: Path) -> 
 
 def test_whatever_the_kernel_is_told_decides_the_physics() -> None:
     def told(parameters: Parameters) -> bytes:
-        table = derived.excitations(parameters)
-        numbers = (derived.constants(parameters, table), table.waves, table.amplitudes)
+        table = excitation_table(parameters)
+        numbers = (kernel_constants(parameters, table), table.waves, table.amplitudes)
         return b"".join(part.tobytes() for part in numbers)
 
     def others(before: Any, row: Specification) -> list[Any]:
@@ -168,7 +168,7 @@ def test_whatever_the_kernel_is_told_decides_the_physics() -> None:
                 if told(updated(plain, {name: value})) != by_default:
                     deciding.add(name)
                     break
-    assert {name for name in deciding if not checkpoints.decides_physics(name)} == set()
+    assert {name for name in deciding if not checkpoint.decides_physics(name)} == set()
     groups = ("gears.", "mesh.", "surface.", "bearings.", "oil.")
     assert deciding >= {name for name in specifications() if name.startswith(groups)}
 

@@ -18,6 +18,7 @@ from gear_dynamics_ros.chunk import (
 from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.recording.recorder import Recorder
+from gear_dynamics_ros.simulation.engine import Engine
 
 INTERVAL_NS = 10_000
 NO_COUNTERS = Counters(0, 0, 0, 0, 0)
@@ -62,7 +63,7 @@ def odd_chunk(number: int) -> Chunk:
 
 def record_odd(path: Path, chunks: int) -> Path:
     """Recording of odd chunks: 90 kB each."""
-    recorder = Recorder(path, Parameters(), {"sample": 0}, 1_000_000_000)
+    recorder = Recorder(path, Engine(Parameters()).checkpoint(), 1_000_000_000)
     encoder = Encoder(Parameters(), 1_000_000_000)
     for number in range(chunks):
         recorder.write(encoder.chunk(odd_chunk(number)))

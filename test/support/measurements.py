@@ -17,7 +17,10 @@ from scipy.optimize import brentq, root
 
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.physics import derived, kernel
+from gear_dynamics_ros.physics.constants import aligned_zeros, base_radii, excitation_table, kernel_constants
+from gear_dynamics_ros.physics.kernel.entry import evaluate_state
+from gear_dynamics_ros.physics.kernel.film import capone_film
+from gear_dynamics_ros.physics.kernel.records import HERE, POINT, STATE
 from gear_dynamics_ros.physics.restitution import damping_factor
 from gear_dynamics_ros.physics.surface import fractal_surface
 from gear_dynamics_ros.simulation.engine import Engine
@@ -97,7 +100,7 @@ def film_steady() -> Iterator[Measurement]:
     printed = {0.1: (0.32153, 82.708), 0.3: (1.16950, 68.178), 0.5: (3.00152, 53.680), 0.7: (9.65619, 38.704)}
     printed[0.9] = (96.0246, 20.826)
     for eps, (force, attitude) in printed.items():
-        fx, fy = kernel.film_force(1.0, 1.0, eps, 0.0, 0.0, 0.0)
+        fx, fy = capone_film(1.0, 1.0, eps, 0.0, 0.0, 0.0)
         magnitude, angle = math.hypot(fx, fy), math.atan2(abs(fy), -fx)
         formula, formula_angle = ocvirk(eps)
         yield relative(f"film force against Ocvirk, eps = {eps}", magnitude, formula, 1e-12)
@@ -110,7 +113,7 @@ def film_steady() -> Iterator[Measurement]:
 def film_moving() -> Iterator[Measurement]:
     states = [(0.3, 0.2, 0.1, -0.2), (-0.5, 0.4, -0.3, 0.05), (0.1, -0.85, 0.02, 0.4), (0.0, 0.0, 0.1, 0.2)]
     for state in states:
-        measured, expected = kernel.film_force(1.0, 1.0, *state), film_by_quadrature(*state)
+        measured, expected = capone_film(1.0, 1.0, *state), film_by_quadrature(*state)
         error = math.dist(measured, expected) / math.hypot(*expected)
         yield Measurement(
             f"film force against quadrature, (ex, ey, ux, uy) = {state}",
@@ -120,7 +123,7 @@ def film_moving() -> Iterator[Measurement]:
 
 def rotor_threshold(eps: float) -> float:
     """w sqrt(m C / W) where a rigid rotor on two short bearings turns unstable, from the film's Jacobian."""
-    fx0, fy0 = kernel.film_force(1.0, 1.0, eps, 0.0, 0.0, 0.0)
+    fx0, fy0 = capone_film(1.0, 1.0, eps, 0.0, 0.0, 0.0)
     static = math.hypot(fx0, fy0)
     jacobian = np.empty((2, 4))
     h = 1e-6
@@ -128,7 +131,7 @@ def rotor_threshold(eps: float) -> float:
         ahead, behind = [eps, 0.0, 0.0, 0.0], [eps, 0.0, 0.0, 0.0]
         ahead[i] += h
         behind[i] -= h
-        difference = np.subtract(kernel.film_force(1.0, 1.0, *ahead), kernel.film_force(1.0, 1.0, *behind))
+        difference = np.subtract(capone_film(1.0, 1.0, *ahead), capone_film(1.0, 1.0, *behind))
         jacobian[:, i] = difference / (2.0 * h * static)
 
     def growth(speed: float) -> float:
@@ -206,17 +209,17 @@ def restitution() -> Iterator[Measurement]:
 
 def look(p: Parameters, state: NDArray[Any]) -> np.void:
     """All that the kernel evaluates at ``state``, without excitation."""
-    table = derived.excitations(p)
-    points = derived.aligned_zeros((3,), kernel.POINT)
-    constants = derived.constants(p, table)
-    kernel.look(constants, state, points, table.waves, np.zeros_like(table.amplitudes))
-    point: np.void = points[kernel.HERE]
+    table = excitation_table(p)
+    points = aligned_zeros((3,), POINT)
+    constants = kernel_constants(p, table)
+    evaluate_state(constants, state, points, table.waves, np.zeros_like(table.amplitudes))
+    point: np.void = points[HERE]
     return point
 
 
 def loaded_state(p: Parameters, offset: float) -> NDArray[Any]:
     """Drive flank touching, each centre ``offset`` along the line of action, there in contact."""
-    state = derived.aligned_zeros((1,), kernel.STATE)
+    state = aligned_zeros((1,), STATE)
     state["drive_torque"], state["load_torque"] = p.operation.drive_torque, p.operation.load_torque
     state["speed"], state["impact_speed"] = p.operation.speed, p.bearings.minimum_impact_speed
     shift_centres(p, state, -offset, offset)
@@ -237,7 +240,7 @@ def shift_centres(p: Parameters, state: NDArray[Any], first: float, second: floa
 def mode_frequencies(p: Parameters, state: NDArray[Any], fixed_centres: bool = False) -> Vector:
     """Frequencies in Hz of (u, s1, s2), s the centres' displacements along the line of action."""
     along = np.array([math.sin(p.gears.pressure_angle), math.cos(p.gears.pressure_angle)])
-    r1, r2 = derived.base_radii(p)
+    r1, r2 = base_radii(p)
 
     def reduced(shift: Vector) -> Vector:
         moved = state.copy()
@@ -319,14 +322,14 @@ def mean_mesh_force() -> Iterator[Measurement]:
             engine.advance(samples)
             impulse = engine.checkpoint().state["mesh_impulse"] - before
             mean = impulse / (samples * p.solver.sample_interval)
-            expected = p.operation.drive_torque / derived.base_radii(p)[0]
+            expected = p.operation.drive_torque / base_radii(p)[0]
             yield relative(f"mean mesh force over 1 s, {model}, {name}", mean, expected, 5e-4, "N")
 
 
 def vibration_energy(p: Parameters, state: dict[str, Any]) -> tuple[float, float]:
     """Conserved energy and vibration energy (kinetic and elastic) in J of the undamped gear pair."""
     gears, bearings = p.gears, p.bearings
-    r1, r2 = derived.base_radii(p)
+    r1, r2 = base_radii(p)
     reach = r1 + r2
     (x1, x2), (y1, y2), u = state["x"], state["y"], state["u"]
     (vx1, vx2), (vy1, vy2), (omega1, omega2) = state["vx"], state["vy"], state["omega"]
@@ -398,7 +401,7 @@ class BacklashOscillator:
     def __init__(self, start: float) -> None:
         half_backlash, stiffness = 25e-6, 3.0e8
         probe = flat(QUIET, {})
-        r1, _ = derived.base_radii(probe)
+        r1, _ = base_radii(probe)
         teeth, inertia = probe.gears.driving.teeth, probe.gears.driving.inertia
         self.natural = math.sqrt(stiffness * 2.0 * r1**2 / inertia)
         self.per_speed = teeth / self.natural

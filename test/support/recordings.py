@@ -30,7 +30,7 @@ class Recorded:
         self.parameters = parameters
         self.engine = Engine(parameters)
         self.encoder = Encoder(parameters, epoch_ns)
-        self.recorder = Recorder(path, parameters, self.engine.checkpoint(), epoch_ns)
+        self.recorder = Recorder(path, self.engine.checkpoint(), epoch_ns)
         self.sink = RecorderSink(self.recorder, self.engine)
         self.run = Run(self.engine, self.encoder, [self.sink])
 
@@ -56,7 +56,7 @@ def record(
         run.step(act(run, chunk))
     # What is done before the first recorded chunk is the past of a recording that is begun later.
     early = act(run, begin) if begin else None
-    recorder = Recorder(path, run.engine.parameters, run.checkpoint(), 0)
+    recorder = Recorder(path, run.checkpoint(), 0)
     run.attach(RecorderSink(recorder, run.engine))
     for chunk in range(begin, chunks):
         run.step(early if begin and chunk == begin else act(run, chunk))
@@ -108,7 +108,7 @@ def perform(path: Path, deeds: Sequence[Any], parameters: Parameters) -> Path:
             saved = (engine.parameters, run.checkpoint())
         elif deed == "restore":
             run.change(saved[0])
-            run.restore(saved[1], "as saved")
+            run.resume(saved[1], "as saved")
         elif deed == "split":
             made.sink.split()
         elif deed == "tell":

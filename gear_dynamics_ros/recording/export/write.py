@@ -74,12 +74,13 @@ def _select(
 
 
 def _about(recording: Recording, table: str) -> dict[str, str]:
-    """What a file that has room for it says of its origin."""
+    """What a file that has room for it says of where it is from."""
     return {
         "table": table,
         "recording": recording.path.name,
         "version": recording.version,
         "kernel_hash": recording.kernel_hash,
+        "model_hash": recording.run.provenance.model_hash,
         "node": recording.node,
         "epoch_ns": str(recording.epoch_ns),
         "sample_interval_ns": str(recording.sample_interval_ns),

@@ -2,8 +2,8 @@
 
 A compiler finds such vectors in scalar code only by luck; here they are a type of numba's whose arithmetic
 becomes vector instructions on every processor. ``+ - * /`` take lanes or a number on either side, ``v[i]`` is
-one lane. Only compiled functions can use them. numba's cache does not look at this file: see
-``LANES_SHA256`` in ``kernel.py``.
+one lane. Only compiled functions can use them. They are
+made with numba's own means of extension, which may change between its releases.
 """
 
 from __future__ import annotations
@@ -241,7 +241,7 @@ square_root: Any = _function("sqrt")
 absolute: Any = _function("fabs")
 both: Any = intrinsic(_both)
 pointer: Any = intrinsic(_pointer)
-copy: Any = intrinsic(_copy)
+copy_record: Any = intrinsic(_copy)
 store: Any = intrinsic(_store)
 arctangent_of: Any = intrinsic(_arctangent_of)
 at_least: Any = intrinsic(_at_least)

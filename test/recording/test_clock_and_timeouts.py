@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from altering import alter, on_topic
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.chunk import Commands
-from gear_dynamics_ros.cli.replay import main as replay_main
+from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.events import START, TIMEOUT
 from gear_dynamics_ros.messages.cdr import message_class, serialize
 from gear_dynamics_ros.messages.encoder import Encoder
@@ -29,6 +28,7 @@ from gear_dynamics_ros.replay.verify import verify_recording
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.topics import FLOAT64
+from support.altering import alter, on_topic
 
 SHORT = {"solver.chunk": 3e-4, "operation.control": "torque"}
 RELEASE = {"operation.command_timeout": 0.05, "operation.on_timeout": "release"}

@@ -12,15 +12,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from altering import Change, alter, on_topic
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.channels import CHANNEL_NAMES
 from gear_dynamics_ros.chunk import Commands
-from gear_dynamics_ros.cli.analyze import main as analyze_main
-from gear_dynamics_ros.cli.replay import main as replay_main
+from gear_dynamics_ros.cli.analyze import analyze_main
+from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages.cdr import message_class, serialize
 from gear_dynamics_ros.messages.decoder import MessageDecoder
@@ -31,6 +30,7 @@ from gear_dynamics_ros.recording.sink import RecorderSink
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.topics import COMMAND_TOPICS, FLOAT64, TOPICS, is_rows
+from support.altering import Change, alter, on_topic
 
 Act = Callable[[Any], object]
 

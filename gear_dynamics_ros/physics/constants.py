@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.parameters import BearingParameters, Parameters
-from gear_dynamics_ros.physics import kernel
+from gear_dynamics_ros.physics.kernel.records import CACHE_LINE, CONSTANTS, EXCITATIONS, SERIES_TERMS
+from gear_dynamics_ros.physics.kernel.waves import ERROR, ORDER, ROW_BLOCK, STIFFNESS, SURFACE, WAVE_ROWS
 from gear_dynamics_ros.physics.restitution import damping_factor
-from gear_dynamics_ros.physics.surface import Surface, fractal_surface
+from gear_dynamics_ros.physics.surface import FractalProfile, fractal_surface
 
 
 class Excitations(NamedTuple):
@@ -53,12 +54,12 @@ def mesh_damping(parameters: Parameters) -> float:
 
 
 def involute_series(tan2: float) -> list[float]:
-    """Coefficients in xi^0.. of inv alpha - inv alpha0, cos, sin, cot; tan^2 alpha = ``tan2`` + xi.
+    """Coefficients of inv alpha - inv alpha0, cos, sin, cot in powers of x; tan^2 alpha = ``tan2`` + x.
 
-    The four of one power stand side by side. With w = tan alpha, d(w - atan w)/dxi = w / (2 (1 + w^2)); all
+    The four of one power stand side by side. With w = tan alpha, d(w - atan w)/dx = w / (2 (1 + w^2)); all
     factors have binomial series.
     """
-    terms = kernel.SERIES_TERMS
+    terms = SERIES_TERMS
     tangent, cotangent = [math.sqrt(tan2)], [1.0 / math.sqrt(tan2)]
     cosine, square = [1.0 / math.sqrt(1.0 + tan2)], [1.0 / (1.0 + tan2)]
     for k in range(1, terms):
@@ -79,11 +80,11 @@ def _product(left: list[float], right: list[float]) -> list[float]:
     return [math.fsum(left[i] * right[k - i] for i in range(k + 1)) for k in range(len(left))]
 
 
-def surfaces(parameters: Parameters) -> tuple[Surface, Surface]:
+def surfaces(parameters: Parameters) -> tuple[FractalProfile, FractalProfile]:
     """Tooth surfaces of driving and driven gear."""
     gears, surface = parameters.gears, parameters.surface
 
-    def of(teeth: int, side: str) -> Surface:
+    def of(teeth: int, side: str) -> FractalProfile:
         own = getattr(surface, side)
         return fractal_surface(
             teeth=teeth,
@@ -100,20 +101,20 @@ def surfaces(parameters: Parameters) -> tuple[Surface, Surface]:
 def aligned_zeros(shape: tuple[int, ...], dtype: Any = np.float64) -> NDArray[Any]:
     """Zeros that begin on a cache line, which numpy doesn't promise."""
     size = math.prod(shape) * np.dtype(dtype).itemsize
-    raw = np.zeros(size + kernel.CACHE_LINE, np.uint8)
-    start = -raw.ctypes.data % kernel.CACHE_LINE
+    raw = np.zeros(size + CACHE_LINE, np.uint8)
+    start = -raw.ctypes.data % CACHE_LINE
     aligned: NDArray[Any] = raw[start : start + size].view(dtype).reshape(shape)
     return aligned
 
 
-def excitations(parameters: Parameters) -> Excitations:
+def excitation_table(parameters: Parameters) -> Excitations:
     """Table of surfaces, stiffness and static error, (16)-(18), (24), (25); equal orders share a row."""
     turns = hunting_turns(parameters)
     teeth = parameters.gears.driving.teeth
     rows: dict[int, NDArray[np.float64]] = {}
 
     def add(order: int, value_column: int, derivatives: int, cosine: float, sine: float) -> None:
-        row = rows.setdefault(order, np.zeros((2, kernel.EXCITATIONS)))
+        row = rows.setdefault(order, np.zeros((2, EXCITATIONS)))
         per_phase = order / (teeth * turns)
         for column in range(value_column, value_column + derivatives + 1):
             row[:, column] += cosine, sine
@@ -123,11 +124,11 @@ def excitations(parameters: Parameters) -> Excitations:
     driven_turns = turns * teeth // parameters.gears.driven.teeth
     for surface, own_turns in ((driving, turns), (driven, driven_turns)):
         for order, cosine, sine in zip(surface.orders.tolist(), surface.cosine, surface.sine, strict=True):
-            add(order * own_turns, kernel.SURFACE, 2, float(cosine), float(sine))
+            add(order * own_turns, SURFACE, 2, float(cosine), float(sine))
     mesh = parameters.mesh
     for column, derivatives, cosines, sines in (
-        (kernel.STIFFNESS, 1, mesh.stiffness_cos, mesh.stiffness_sin),
-        (kernel.ERROR, 2, mesh.error_cos, mesh.error_sin),
+        (STIFFNESS, 1, mesh.stiffness_cos, mesh.stiffness_sin),
+        (ERROR, 2, mesh.error_cos, mesh.error_sin),
     ):
         for h, cosine in enumerate(cosines, start=1):
             add(h * teeth * turns, column, derivatives, cosine, 0.0)
@@ -135,15 +136,15 @@ def excitations(parameters: Parameters) -> Excitations:
             add(h * teeth * turns, column, derivatives, 0.0, sine)
 
     orders = sorted(rows)
-    waves = aligned_zeros((kernel.WAVE_ROWS, -(-len(orders) // kernel.ROW_BLOCK) * kernel.ROW_BLOCK))
-    waves[kernel.ORDER, : len(orders)] = orders
-    amplitudes = aligned_zeros((len(orders) + len(orders) % 2, 2, kernel.EXCITATIONS))
+    waves = aligned_zeros((WAVE_ROWS, -(-len(orders) // ROW_BLOCK) * ROW_BLOCK))
+    waves[ORDER, : len(orders)] = orders
+    amplitudes = aligned_zeros((len(orders) + len(orders) % 2, 2, EXCITATIONS))
     for index, order in enumerate(orders):
         amplitudes[index] = rows[order]
     return Excitations(waves, amplitudes)
 
 
-def constants(parameters: Parameters, table: Excitations) -> NDArray[Any]:
+def kernel_constants(parameters: Parameters, table: Excitations) -> NDArray[Any]:
     """The kernel's constants; every derived number of the model is computed here."""
     gears, mesh, operation = parameters.gears, parameters.mesh, parameters.operation
     r1, r2 = base_radii(parameters)
@@ -193,8 +194,8 @@ def constants(parameters: Parameters, table: Excitations) -> NDArray[Any]:
         step=parameters.solver.step,
         steps_per_sample=parameters.solver.steps_per_sample,
     )
-    record = aligned_zeros((1,), kernel.CONSTANTS)
-    for name in kernel.CONSTANTS.names or ():
+    record = aligned_zeros((1,), CONSTANTS)
+    for name in CONSTANTS.names or ():
         record[name] = values[name]
     return record
 
