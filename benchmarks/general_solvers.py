@@ -18,13 +18,14 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.palette import BLUE, DIM, GREEN, GREY, ORANGE, PURPLE, SKY
 from gear_dynamics_ros.parameters import Parameters, load_parameters
+from gear_dynamics_ros.simulation.checkpoint import Checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
 
 SOURCE = Path(__file__).resolve().parent.parent
@@ -106,7 +107,7 @@ def engine_runs(path: Path) -> dict[str, Run]:
     return {step: partial(rerun, engine, engine.checkpoint()) for step, engine in engines.items()}
 
 
-def rerun(engine: Engine, start: dict[str, Any]) -> NDArray[np.float64]:
+def rerun(engine: Engine, start: Checkpoint) -> NDArray[np.float64]:
     """DTE in m from ``start`` on."""
     engine.restore(start)
     return engine.advance(SAMPLES)["dte"]

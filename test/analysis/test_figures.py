@@ -63,7 +63,7 @@ def magnitude(samples: Samples, vector: str) -> Vector:
 def test_overview_holds_the_bounds_of_every_quantity_and_marks_what_happened(samples: Samples) -> None:
     envelope = Envelope(capacity=64)
     envelope.add(samples, derived_quantities(samples))
-    figure = figures.overview(envelope, [CHANGE * INTERVAL], (0.03, 0.06))
+    figure = figures.overview_figure(envelope, [CHANGE * INTERVAL], (0.03, 0.06))
     panels: list[tuple[str, float, list[Vector]]] = [
         ("speed\n(rad/s)", 1.0, [samples[f"{gear}_speed"] for gear in GEARS]),
         ("torque\n(N m)", 1.0, [samples["drive_torque"], samples["load_torque"]]),
@@ -100,7 +100,7 @@ def test_overview_holds_the_bounds_of_every_quantity_and_marks_what_happened(sam
 
 
 def test_time_series_shows_the_last_mesh_periods_sample_by_sample(samples: Samples) -> None:
-    figure = figures.time_series(samples, Parameters())
+    figure = figures.time_series_figure(samples, Parameters())
     motion, force, *bearings = figure.axes
     assert labels(figure)[:2] == [("", "DTE (µm)"), ("", "mesh force (kN)")]
     assert [axis.get_ylabel() for axis in bearings] == [f"{gear} bearing\nforce (kN)" for gear in GEARS]
@@ -128,7 +128,7 @@ def test_spectrum_has_a_line_at_its_frequency_with_its_amplitude() -> None:
     mesh = 10_000.0
     dte = 25e-6 + 3e-6 * np.cos(2 * np.pi * mesh * time) + 0.4e-6 * np.sin(4 * np.pi * mesh * time)
     values = np.column_stack([time, dte, np.mod(2 * np.pi * mesh * time, 2 * np.pi)])
-    figure = figures.spectrum(Samples(0, INTERVAL, ("time", "dte", "mesh_phase"), values))
+    figure = figures.spectrum_figure(Samples(0, INTERVAL, ("time", "dte", "mesh_phase"), values))
     axis = figure.axes[0]
     assert labels(figure)[0] == ("frequency (kHz)", "amplitude of DTE (µm)")
     curve = max(axis.get_lines(), key=lambda found: len(np.asarray(found.get_xdata())))
@@ -146,7 +146,7 @@ def test_spectrum_has_a_line_at_its_frequency_with_its_amplitude() -> None:
 
 
 def test_phase_portrait_has_the_motion_its_section_and_the_flanks(samples: Samples) -> None:
-    (axis,) = figures.phase_portrait(samples).axes
+    (axis,) = figures.phase_portrait_figure(samples).axes
     assert (axis.get_xlabel(), axis.get_ylabel()) == ("DTE (µm)", "rate of DTE (m/s)")
     x, y = line(axis, "motion")
     np.testing.assert_allclose(x, 1e6 * samples["dte"])
@@ -164,7 +164,7 @@ def test_phase_portrait_has_the_motion_its_section_and_the_flanks(samples: Sampl
 
 
 def test_orbits_have_the_clearances_around_the_paths(samples: Samples) -> None:
-    figure = figures.orbits(samples, Parameters())
+    figure = figures.orbits_figure(samples, Parameters())
     assert set(labels(figure)) == {("x (µm)", "y (µm)")}
     bearings = Parameters().bearings
     for column, (gear, bearing) in enumerate((("driving", bearings.driving), ("driven", bearings.driven))):
@@ -182,7 +182,7 @@ def test_orbits_have_the_clearances_around_the_paths(samples: Samples) -> None:
 
 
 def test_bearing_force_is_drawn_over_penetration_where_there_is_contact(samples: Samples) -> None:
-    figure = figures.bearing_force(samples)
+    figure = figures.bearing_force_figure(samples)
     assert labels(figure) == [
         ("penetration (µm)", "bearing contact force (kN)"),
         ("penetration (µm)", ""),

@@ -69,7 +69,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("recording") / "bag"
     parameters = Parameters()
     encoder = Encoder(parameters, EPOCH_NS)
-    recorder = Recorder(path, parameters, start_at(0), EPOCH_NS)
+    recorder = Recorder(path, start_at(0, parameters), EPOCH_NS)
     recorder.write([encoder.applied(COMMANDS, 0), *extra_records(encoder)])
     for number in range(60):
         if number == 20:
@@ -77,7 +77,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
             recorder.write(halted)
             recorder.write([encoder.applied(SECOND, 20 * ROWS)])
         if number == 40:
-            recorder.split(start_at(40 * ROWS), parameters)
+            recorder.split(start_at(40 * ROWS, parameters))
         recorder.write(encoder.chunk(make_chunk(number)))
     recorder.write([encoder.event("end", 60 * ROWS, "as asked", NO_COUNTERS)])
     recorder.close()
@@ -322,15 +322,16 @@ RUN = """
 import json, resource, sys, time
 from pathlib import Path
 import numpy as np
+from gear_dynamics_ros.channels import IMPACTS
 from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.recording.recorder import Recorder
-from gear_dynamics_ros.channels import IMPACTS
+from gear_dynamics_ros.simulation.engine import Engine
 from support.chunks import chunk_of, noise
 def make_chunk(number):
     return chunk_of(number * 200, noise(number, 200), impacts=np.zeros((1, len(IMPACTS))))
 encoder = Encoder(Parameters(), 0)
-recorder = Recorder(Path(sys.argv[1]), Parameters(), {"sample": 0}, 0)
+recorder = Recorder(Path(sys.argv[1]), Engine(Parameters()).checkpoint(), 0)
 """
 
 UNTIL_KILLED = (
@@ -374,7 +375,7 @@ def child(code: str, *arguments: object) -> subprocess.Popen[str]:
 
 
 def test_kill_9_loses_nothing_that_was_flushed_and_flushes_come_by_themselves(tmp_path: Path) -> None:
-    assert writer.FLUSH_SECONDS <= 1.0  # the promise: at most the last second is lost
+    assert recorder_module.FLUSH_SECONDS <= 1.0  # the promise: at most the last second is lost
     with child(UNTIL_KILLED, tmp_path / "bag") as process:
         try:
             assert process.stdout is not None

@@ -35,7 +35,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.chunk import Commands
+from gear_dynamics_ros.chunk import Commands, Status
 from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.cdr import deserialize, serialize
@@ -48,7 +48,9 @@ from gear_dynamics_ros.recording.mcap.index import ending, read_index, read_meta
 from gear_dynamics_ros.recording.mcap.records import encode, read_attachment, read_chunk
 from gear_dynamics_ros.recording.recover import Recovery, SampleRange, default_target, recover
 from gear_dynamics_ros.replay.verify import verify_recording
+from gear_dynamics_ros.simulation.checkpoint import Checkpoint, StoredCheckpoint
 from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.provenance import Provenance
 from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.topics import TOPICS, resolve
 from support.processes import run_python
@@ -319,7 +321,7 @@ def test_times_in_the_head_of_a_chunk_are_set_right(bag: Path, tmp_path: Path) -
     (tmp_path / "times.mcap").write_bytes(content)
     report = recovered(tmp_path / "times.mcap", tmp_path / "out")
     assert report.whole
-    found = recording.open(tmp_path / "out").parts[0].found
+    found = recording.open(tmp_path / "out").parts[0].index
     times = [(index.message_start_time, index.message_end_time) for index in found.chunks]
     assert times == sorted(times) and times[-1][1] - EPOCH_NS <= SPLITS[0] * ROWS * INTERVAL_NS
 
@@ -739,10 +741,12 @@ TEXT = st.text(max_size=8)
 NUMBER = st.sampled_from([1, 1, 1, 1, 0, 2, 2**16 - 1])
 TIME = st.one_of(st.just(EPOCH_NS + 50_000), st.integers(0, 2**64 - 1))
 ROW = serialize(TOPICS["waveform"].type, waveform_message(CHANNELS, np.ones((2, len(CHANNELS)))))
-START = Attachment(create_time=0, log_time=0, name="start.json", media_type="", data=b'{"sample": 3}')
+ORIGIN = Provenance(*"000000")
+THIRD = Checkpoint(3, Status.RUNNING, Commands(30.0, 30.0, 1600.0), {"u": 0.0}, PARAMETERS)
+STATE = StoredCheckpoint(THIRD, ORIGIN).to_text().encode()
+START = Attachment(create_time=0, log_time=0, name="start.json", media_type="", data=STATE)
 RUN = Metadata(
-    name="gear_dynamics_ros",
-    metadata=RunMetadata("0", "0", EPOCH_NS, "/gearbox", INTERVAL_NS).to_text(),
+    name="gear_dynamics_ros", metadata=RunMetadata(ORIGIN, EPOCH_NS, "/gearbox", INTERVAL_NS).to_text()
 )
 SCHEMA = Schema(data=b"", encoding="ros2msg", id=1, name=TOPICS["waveform"].type)
 CHANNEL = Channel(id=1, topic=WAVEFORM, message_encoding="cdr", metadata={}, schema_id=1)
@@ -771,7 +775,12 @@ RECORDS = st.one_of(
         log_time=TIME,
         name=st.one_of(st.sampled_from(["start.json", "parameters.yaml"]), TEXT),
         media_type=TEXT,
-        data=st.sampled_from([b"[" * 5000, b'{"sample": 1e999}', b'{"sample": "5"}', b"[]", b"\xff", b""]),
+        data=st.sampled_from(
+            [
+                *(STATE.replace(b'"sample": 3', b'"sample": ' + value) for value in (b"1e999", b'"5"')),
+                *(b"[" * 5000, b'{"sample": 3}', b"[]", b"\xff", b""),
+            ]
+        ),
     ),
     st.builds(
         Metadata,

@@ -233,7 +233,7 @@ def entry(name: str, index: int | None = None) -> Any:
 
 
 def command_another_speed(content: dict[str, Any]) -> None:
-    content.get("checkpoint", content)["commands"]["speed"] = 1.0
+    content["checkpoint"]["commands"]["speed"] = 1.0
 
 
 @pytest.mark.parametrize(
@@ -365,7 +365,7 @@ def described_otherwise(bag: Path, target: Path, monkeypatch: pytest.MonkeyPatch
     return alter(bag, target)
 
 
-@pytest.mark.parametrize("name", ["version", "kernel_hash", "processor"])
+@pytest.mark.parametrize("name", ["version", "kernel_hash", "model_hash", "processor", "libraries"])
 def test_an_altered_description_of_the_run_is_found(
     bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:

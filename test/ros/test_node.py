@@ -19,7 +19,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from gear_dynamics_ros import recording, replay
+from gear_dynamics_ros import recording
 from gear_dynamics_ros.channels import CHANNEL_NAMES, COLUMN, PACE
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import GearboxError
@@ -432,14 +432,14 @@ def test_recording_can_be_split_switched_off_and_on(
         assert [event.kind for event in first.events] == ["start", "pause", "resume", "reset"]
         ((_, command),) = first.messages("load_torque_command")
         assert command.data == 12.5
-        assert replay.verify(first).difference is None
+        assert verify_recording(first).difference is None
         assert client.switch("record", True).message == f"recording to {tmp_path / 'bag_2'}"
         client.hear("waveform", 2)
         node.signal(signal.SIGINT)
         assert node.wait() == 0
     second = recording.open(tmp_path / "bag_2")
     assert second.complete and second.first_sample >= first.end_sample
-    assert replay.verify(second).difference is None
+    assert verify_recording(second).difference is None
 
 
 def test_sigint_twice_leaves_a_complete_recording(

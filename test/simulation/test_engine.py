@@ -260,7 +260,7 @@ def test_a_slowly_begun_contact_pressed_in_later_stays_exact(pressed: Checkpoint
     chunk = engine.advance(100)
     assert chunk.status is Status.RUNNING
 
-    referee, state = Referee(nested(chosen.to_flat())), pressed["state"]
+    referee, state = Referee(nested(chosen.to_flat())), pressed.state
     referee.y[1], referee.y[3], referee.y[4] = *state["y"], state["u"]
     referee.mode = Mode(contact=[True, True], impact_speed=list(state["impact_speed"]))
     expected = referee.run(100)

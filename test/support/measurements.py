@@ -181,8 +181,8 @@ def simulated_restitution(eta: float, law: str, step: float = 1e-6) -> float:
     engine = Engine(p)
     checkpoint = engine.checkpoint()
     clearance, speed = p.bearings.driving.clearance, 0.1
-    checkpoint["state"] |= {"u": 0.0, "y": [clearance - 1.234e-6, 0.0], "vy": [speed, 0.0], "flank": 0.0}
-    engine.restore(checkpoint)
+    flung = {"u": 0.0, "y": [clearance - 1.234e-6, 0.0], "vy": [speed, 0.0], "flank": 0.0}
+    engine.restore(checkpoint._replace(state={**checkpoint.state, **flung}))
     chunk = engine.advance(50)
     if chunk.counters.impacts != 1 or chunk["driving_penetration"][-1] > 0.0:
         raise AssertionError("the impact is not over")
