@@ -25,8 +25,8 @@ from gear_dynamics_ros.messages.encoder import Encoder, Record
 from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.recorder import Recorder
+from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.recording.recover import recover
-from gear_dynamics_ros.recording.sink import RecorderSink
 from gear_dynamics_ros.replay.verify import verify_recording
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
@@ -295,7 +295,7 @@ def _simulated(parameters: Parameters, path: Path) -> Path:
     engine = Engine(parameters)
     recorder = Recorder(path, engine.checkpoint(), 0)
     run = Run(engine, Encoder(parameters, 0), [RecorderSink(recorder, engine)], duration=VERIFIED)
-    while not run.end:
+    while not run.state.ended:
         run.step()
     run.close()
     return path

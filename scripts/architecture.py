@@ -6,6 +6,7 @@ import ast
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -39,16 +40,16 @@ def imports() -> Iterator[Import]:
     """Every import of the package by itself, those inside functions and for type checkers included."""
     source = ROOT / PACKAGE
     for path in sorted(source.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            for name in _imported(node):
-                if name == PACKAGE or name.startswith(f"{PACKAGE}."):
-                    yield Import(path.relative_to(source).as_posix(), name[len(PACKAGE) + 1 :])
+        for name in imported_names(path):
+            if name == PACKAGE or name.startswith(f"{PACKAGE}."):
+                yield Import(path.relative_to(source).as_posix(), name[len(PACKAGE) + 1 :])
 
 
-def third_party(path: Path) -> set[str]:
-    """Top-level names of the packages that a file imports."""
+@cache
+def imported_names(path: Path) -> tuple[str, ...]:
+    """Dotted names that a file imports, in its order."""
     nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-    return {name.split(".")[0] for node in nodes for name in _imported(node)}
+    return tuple(name for node in nodes for name in _imported(node))
 
 
 def edges() -> dict[tuple[str, str], int]:

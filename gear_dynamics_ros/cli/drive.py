@@ -46,7 +46,7 @@ def _parser() -> argparse.ArgumentParser:
 def _drive(arguments: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     profile = load_profile(arguments.profile)
     with needing_ros():
-        from gear_dynamics_ros.ros.profile_client import play
+        from gear_dynamics_ros.ros.profile_client import play_profile
     node = full_name(arguments.node)
     report = None if arguments.junit is None else JunitReport(arguments.junit, arguments.profile.stem)
     if report is not None:
@@ -54,7 +54,7 @@ def _drive(arguments: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     print(f"playing {arguments.profile} to {node}: {profile.duration:g} s of simulated time", flush=True)
     with ProgressLine() as line:
         watch = _Watch(line)
-        outcome = play(profile, node, arguments.wait, arguments.timeout, watch, ros_arguments)
+        outcome = play_profile(profile, node, arguments.wait, arguments.timeout, watch, ros_arguments)
     try:
         if report is not None:
             report.write(outcome.results, outcome.failure)

@@ -11,7 +11,7 @@ from gear_dynamics_ros import recording
 from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.recording.export import tables
 from gear_dynamics_ros.recording.export.formats import FORMATS
-from gear_dynamics_ros.recording.export.write import export
+from gear_dynamics_ros.recording.export.write import export_table
 
 
 def add_export(verbs: Any) -> None:
@@ -41,7 +41,7 @@ def _export(arguments: argparse.Namespace) -> int:
     first, end_sample = bag.clip(arguments.start, arguments.end)
     channels = None if arguments.channels is None else arguments.channels.split(",")
     with Progress("exported", end_sample - first) as progress:
-        written = export(
+        written = export_table(
             bag,
             arguments.output,
             arguments.table,

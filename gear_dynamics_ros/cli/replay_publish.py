@@ -74,7 +74,7 @@ def _publish(arguments: argparse.Namespace) -> int:
 
 def _play_at_own_pace(bag: recording.Recording, arguments: argparse.Namespace) -> int:
     with needing_ros():
-        from gear_dynamics_ros.ros.profile_client import play
+        from gear_dynamics_ros.ros.profile_client import play_profile
     node = full_name(arguments.node)
     script = publish.commands_of(bag)
     commands = [(step.time_ns / 1e9, step.commands) for step in script.steps]
@@ -92,7 +92,9 @@ def _play_at_own_pace(bag: recording.Recording, arguments: argparse.Namespace) -
             reached = player.time
             progress(player.time_ns)
 
-        outcome = play(profile, node, arguments.wait, arguments.timeout, watch, _ros_arguments(arguments))
+        outcome = play_profile(
+            profile, node, arguments.wait, arguments.timeout, watch, _ros_arguments(arguments)
+        )
     print(
         f"{outcome.published} commands published over {reached:.9g} s of simulated time, unchanged "
         "values ten times a second; each acts at the next chunk edge, a chunk or two late",
@@ -103,7 +105,7 @@ def _play_at_own_pace(bag: recording.Recording, arguments: argparse.Namespace) -
 
 def _play_in_lockstep(bag: recording.Recording, arguments: argparse.Namespace) -> int:
     with needing_ros():
-        from gear_dynamics_ros.ros.lockstep_client import play
+        from gear_dynamics_ros.ros.lockstep_client import play_script
     node = full_name(arguments.node)
     script = publish.script_of(bag)
     if arguments.reset:
@@ -111,7 +113,9 @@ def _play_in_lockstep(bag: recording.Recording, arguments: argparse.Namespace) -
     _print_skipped(publish.skipped_by_script(bag), "")
     print(f"playing {bag.path} to {node} in lockstep: {script.duration_ns / 1e9:g} s", flush=True)
     with Progress("published", script.duration_ns) as progress:
-        outcome = play(script, node, arguments.wait, arguments.timeout, progress, _ros_arguments(arguments))
+        outcome = play_script(
+            script, node, arguments.wait, arguments.timeout, progress, _ros_arguments(arguments)
+        )
     if outcome.origin >= 0:
         print(
             f"{outcome.published} commands published, {outcome.time_ns / 1e9:.9g} s simulated; time 0 of the "

@@ -88,7 +88,7 @@ def _start(arguments: argparse.Namespace) -> tuple[StoredCheckpoint | None, Para
         return None, load_parameters(
             arguments.params_file or share_file("config/gearbox.yaml"), arguments.set
         )
-    stored = checkpoint.load(arguments.from_checkpoint)
+    stored = checkpoint.load_checkpoint(arguments.from_checkpoint)
     parameters = updated(stored.checkpoint.parameters, read_settings(arguments.set))
     checkpoint.require_fitting(stored, parameters)
     return stored, parameters

@@ -40,41 +40,52 @@ class AppliedCommands(NamedTuple):
 class MessageDecoder:
     """Decodes the messages of one node: the only way from a recording's bytes to values.
 
-    Every method takes the CDR of a message with its stamp in ns, and raises GearboxError that names topic,
-    stamp and fault where they can't be what the topic holds.
+    Every method takes the CDR of a message with its stamp in ns, and raises GearboxError that names source,
+    topic, stamp and fault where they can't be what the topic holds.
     """
 
-    def __init__(self, channels: Sequence[str], joint_prefix: str) -> None:
-        """``channels`` are those of the waveform."""
+    def __init__(self, channels: Sequence[str], joint_prefix: str, source: str) -> None:
+        """``channels`` are those of the waveform; ``source`` is what errors call the recording."""
         self._prefix = joint_prefix
+        self._source = source
         names = {**ROW_NAMES, "waveform": tuple(channels)}
         self._rows = {topic: RowReader(columns) for topic, columns in names.items()}
 
     def message(self, topic: str, time_ns: int, data: bytes | memoryview) -> Any:
         """Message on ``topic`` (key in TOPICS), fields as in ROS."""
-        with _naming(topic, time_ns):
+        with self._naming(topic, time_ns):
             return deserialize(TOPICS[topic].type, data)
 
     def rows(self, topic: str, time_ns: int, data: bytes | memoryview) -> NDArray[np.float64]:
         """Rows (n, columns) of a message laid out like the waveform, which may lie in ``data``."""
-        with _naming(topic, time_ns):
+        with self._naming(topic, time_ns):
             return self._rows[topic].read(data)
 
     def applied(self, time_ns: int, data: bytes | memoryview) -> AppliedCommands:
         """Commands that a message on ``~/command/applied`` tells."""
-        with _naming("applied_command", time_ns):
+        with self._naming("applied_command", time_ns):
             message = deserialize(JOINT_STATE, data)
             return AppliedCommands(stamp_ns(message.header.stamp), applied_commands(message))
 
     def event(self, time_ns: int, data: bytes | memoryview) -> OperatorEvent:
         """Event that a message on ``~/event`` tells."""
-        with _naming("event", time_ns):
+        with self._naming("event", time_ns):
             return _event(deserialize(STRING, data).data)
 
     def changes(self, topic: str, time_ns: int, data: bytes | memoryview) -> dict[str, float]:
         """Fields of Commands that a message on a command topic asks to change, with their values."""
-        with _naming(topic, time_ns):
+        with self._naming(topic, time_ns):
             return changes_meant(topic, deserialize(TOPICS[topic].type, data), self._prefix)[0]
+
+    @contextmanager
+    def _naming(self, topic: str, time_ns: int) -> Iterator[None]:
+        """Errors say which message it was."""
+        try:
+            yield
+        except GearboxError as error:
+            text = " ".join(str(error).split())
+            where = f"{self._source}: the message on {TOPICS[topic].name} at {time_ns} ns"
+            raise GearboxError(f"{where} is spoilt: {text}") from error
 
 
 class RowReader:
@@ -179,17 +190,6 @@ def joint_changes(
 def _put(wanted: dict[str, float], name: str, values: Sequence[float], index: int) -> None:
     if index < len(values) and not math.isnan(values[index]):
         wanted[name] = float(values[index])
-
-
-@contextmanager
-def _naming(topic: str, time_ns: int) -> Iterator[None]:
-    """Errors say which message it was."""
-    try:
-        yield
-    except GearboxError as error:
-        text = " ".join(str(error).split())
-        where = f"the message on {TOPICS[topic].name} at {time_ns} ns"
-        raise GearboxError(f"{where} is spoilt: {text}") from error
 
 
 def _event(text: str) -> OperatorEvent:

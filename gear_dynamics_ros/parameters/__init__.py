@@ -1,5 +1,12 @@
 """What can be set: one tree of parameters for the node and all tools, in SI units. No ROS, no physics."""
 
+from gear_dynamics_ros.parameters.changes import (
+    ParameterChange,
+    change_to,
+    change_values,
+    differences,
+    updated,
+)
 from gear_dynamics_ros.parameters.checks import MOST_WAVES_PER_REVOLUTION
 from gear_dynamics_ros.parameters.groups import (
     BearingParameters,
@@ -19,10 +26,7 @@ from gear_dynamics_ros.parameters.ros_file import (
 from gear_dynamics_ros.parameters.specification import Specification
 from gear_dynamics_ros.parameters.tree import (
     Parameters,
-    differences,
-    require_changeable,
     specifications,
-    updated,
 )
 
 __all__ = [
@@ -33,15 +37,17 @@ __all__ = [
     "GearParameters",
     "OperationParameters",
     "PacingParameters",
+    "ParameterChange",
     "Parameters",
     "Specification",
+    "change_to",
+    "change_values",
     "differences",
     "dump_parameters",
     "load_parameters",
     "parameters_page",
     "parse_parameters",
     "read_settings",
-    "require_changeable",
     "specifications",
     "updated",
 ]

@@ -42,7 +42,6 @@ from gear_dynamics_ros.parameters.groups import (
     SurfaceParameters,
 )
 from gear_dynamics_ros.parameters.specification import Specification, Value, parameter
-from gear_dynamics_ros.parameters.specification import value_text as _text
 
 # Parameters of ROS itself, which any node can have.
 ROS_OWN_PARAMETERS: Final = re.compile(r"use_sim_time|start_type_description_service|qos_overrides\..*")
@@ -193,25 +192,3 @@ def _unknown_name(name: str) -> str:
     alike = [known for known in names if known.rsplit(".", 1)[-1] == leaf]
     hint = f"did you mean {(close or alike)[0]}?" if close or alike else "docs/parameters.md lists them all"
     return f"there is no parameter {name}: {hint}"
-
-
-def differences(old: Parameters, new: Parameters) -> dict[str, Value]:
-    """Values of ``new`` that are not those of ``old``, by dotted name."""
-    before = old.to_flat()
-    return {name: value for name, value in new.to_flat().items() if value != before[name]}
-
-
-def updated(parameters: Parameters, values: Mapping[str, object]) -> Parameters:
-    """``parameters`` with ``values`` by dotted name. Raises UsageError as ``Parameters.from_flat`` does."""
-    return Parameters.from_flat({**parameters.to_flat(), **values})
-
-
-def require_changeable(old: Parameters, new: Parameters) -> None:
-    """Raise UsageError where ``new`` differs from ``old`` in what is fixed while the gearbox runs."""
-    before = old.to_flat()
-    for name, value in differences(old, new).items():
-        if not specifications()[name].runtime:
-            raise UsageError(
-                f"{name} = {_text(before[name])} is fixed while the gearbox runs: "
-                f"start it anew with {name} = {_text(value)}"
-            )

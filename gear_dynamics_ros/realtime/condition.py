@@ -15,8 +15,8 @@ from gear_dynamics_ros.channels import COLUMN, ENERGIES
 from gear_dynamics_ros.chunk import Chunk
 from gear_dynamics_ros.messages.encoder import Record
 
-STRETCHES: Final = 50
-STRETCH_NS: Final = 20_000_000
+INTERVALS: Final = 50
+INTERVAL_NS: Final = 20_000_000
 _MESH_LOSS: Final = [energy.name for energy in ENERGIES].index("mesh_loss")
 
 
@@ -35,7 +35,7 @@ class Condition(NamedTuple):
     mesh_loss: float  # W, mean power lost in the mesh
 
 
-class _Stretch(NamedTuple):
+class _Totals(NamedTuple):
     samples: int
     time_ns: int
     dte_sum: float
@@ -52,9 +52,9 @@ class ConditionSink:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._stretches: deque[_Stretch] = deque(maxlen=STRETCHES)
+        self._intervals: deque[_Totals] = deque(maxlen=INTERVALS)
         self._chunks: list[Chunk] = []
-        self._mesh_loss = 0.0  # J at the end of the last stretch
+        self._mesh_loss = 0.0  # J at the end of the last interval
 
     def write(self, chunk: Chunk | None, _: Sequence[Record]) -> None:
         if chunk is None or not len(chunk):
@@ -62,10 +62,10 @@ class ConditionSink:
         self._chunks.append(chunk)
         # Some chunks are looked at together: each alone would pay for a dozen calls of NumPy, and many
         # together would make the one late that they are added up in.
-        if chunk.last_ns - self._chunks[0].start_ns + chunk.interval_ns >= STRETCH_NS:
-            stretch = self._summary()
+        if chunk.last_ns - self._chunks[0].start_ns + chunk.interval_ns >= INTERVAL_NS:
+            totals = self._summary()
             with self._lock:
-                self._stretches.append(stretch)
+                self._intervals.append(totals)
 
     def close(self) -> None:
         """Nothing to finish."""
@@ -78,20 +78,20 @@ class ConditionSink:
         self._chunks.clear()
         self._mesh_loss = mesh_loss
         with self._lock:
-            self._stretches.clear()
+            self._intervals.clear()
 
     def report(self) -> Condition | None:
-        """Figures of the last second; None before the first stretch of it."""
+        """Figures of the last second; None before the first interval of it."""
         with self._lock:
-            found = list(self._stretches)
+            found = list(self._intervals)
         if not found:
             return None
-        samples = sum(stretch.samples for stretch in found)
-        span = sum(stretch.time_ns for stretch in found) * 1e-9
-        mean = math.fsum(stretch.dte_sum for stretch in found) / samples
-        square = sum(stretch.dte_squares for stretch in found) / samples
-        drive = sum(stretch.drive for stretch in found) / samples
-        back = sum(stretch.back for stretch in found) / samples
+        samples = sum(totals.samples for totals in found)
+        span = sum(totals.time_ns for totals in found) * 1e-9
+        mean = math.fsum(totals.dte_sum for totals in found) / samples
+        square = sum(totals.dte_squares for totals in found) / samples
+        drive = sum(totals.drive for totals in found) / samples
+        back = sum(totals.back for totals in found) / samples
         return Condition(
             span=span,
             dte_mean=mean,
@@ -99,20 +99,20 @@ class ConditionSink:
             drive_share=drive,
             apart_share=1.0 - drive - back,
             back_share=back,
-            driving_peak_force=max(stretch.peaks[0] for stretch in found),
-            driven_peak_force=max(stretch.peaks[1] for stretch in found),
-            drive_power=sum(stretch.drive_work for stretch in found) / span,
-            mesh_loss=sum(stretch.mesh_loss for stretch in found) / span,
+            driving_peak_force=max(totals.peaks[0] for totals in found),
+            driven_peak_force=max(totals.peaks[1] for totals in found),
+            drive_power=sum(totals.drive_work for totals in found) / span,
+            mesh_loss=sum(totals.mesh_loss for totals in found) / span,
         )
 
-    def _summary(self) -> _Stretch:
+    def _summary(self) -> _Totals:
         chunks, self._chunks = self._chunks, []
         rows = np.concatenate([chunk.samples for chunk in chunks])
         dte, state = rows[:, COLUMN["dte"]], rows[:, COLUMN["meshing_state"]]
         interval = chunks[0].interval_ns * 1e-9
         power = np.dot(rows[:, COLUMN["drive_torque"]], rows[:, COLUMN["driving_speed"]])
         before, self._mesh_loss = self._mesh_loss, float(chunks[-1].energies[_MESH_LOSS])
-        return _Stretch(
+        return _Totals(
             samples=len(rows),
             time_ns=len(rows) * chunks[0].interval_ns,
             dte_sum=float(dte.sum()),

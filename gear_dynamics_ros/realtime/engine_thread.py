@@ -8,14 +8,18 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TypeVar
 
 from gear_dynamics_ros.chunk import Chunk, Counters
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.events import PAUSE, RESUME
 from gear_dynamics_ros.messages.encoder import Encoder, Record
-from gear_dynamics_ros.parameters import OperationParameters, Parameters, updated
+from gear_dynamics_ros.parameters import (
+    OperationParameters,
+    ParameterChange,
+    Parameters,
+    change_values,
+)
 from gear_dynamics_ros.realtime.mailbox import Delivery, Mailbox
 from gear_dynamics_ros.realtime.pacing import Pace, Pacer
 from gear_dynamics_ros.simulation.engine import Engine
@@ -33,8 +37,8 @@ class Steps:
     chunks: int
     timeout: float  # s of wall time
     began_ns: int
+    done: Future[float]
     made: int = 0
-    done: Future[float] = field(default_factory=Future)
 
     def expired(self, now_ns: int) -> bool:
         """Whether the time is up."""
@@ -45,8 +49,8 @@ class Steps:
         self.done.set_exception(GearboxError(f"{reason} after {self.made} of {self.chunks} chunks"))
 
 
-class Live:
-    """Paces a run. Only its thread touches the run; others ask through ``call``, served between chunks."""
+class EngineThread:
+    """Paces a run. Only its thread touches the run; others ask through ``request``, between two chunks."""
 
     def __init__(
         self,
@@ -64,25 +68,18 @@ class Live:
         self._pacer = Pacer(run.engine.parameters.pacing, time.monotonic_ns())
         self._requests: deque[Callable[[], None]] = deque()
         self._wake = threading.Condition()
-        self._figures = threading.Lock()
+        self._pacer_lock = threading.Lock()
         self._stopping = False
         self._thread: threading.Thread | None = None
-        self._paused = False
         self._steps: Steps | None = None
         self._timed_out = False
-        self._failure = ""
-        self._end_told = False
+        self._end_reported = False
         self.counters = Counters(0, 0, 0, 0, 0)
 
     @property
     def active(self) -> bool:
         """Whether the thread runs."""
         return self._thread is not None
-
-    @property
-    def paused(self) -> bool:
-        """Whether simulated time stands still on request."""
-        return self._paused
 
     @property
     def time(self) -> float:
@@ -94,16 +91,6 @@ class Live:
         """Whether the last command is older than ``operation.command_timeout``."""
         return self._timed_out
 
-    @property
-    def failed(self) -> bool:
-        """Whether something else than the model ended the run."""
-        return bool(self._failure)
-
-    @property
-    def ended(self) -> str:
-        """Why the run ended or failed; empty while it can go on."""
-        return self._failure or self.run.end
-
     def start(self) -> None:
         """Begin, or go on where ``stop`` left."""
         self._stopping = False
@@ -113,7 +100,7 @@ class Live:
         self._thread.start()
 
     def stop(self) -> None:
-        """Finish the chunk in hand and end the thread."""
+        """Finish the chunk in hand, serve what was requested and end the thread."""
         if self._thread is None:
             return
         with self._wake:
@@ -122,80 +109,94 @@ class Live:
         self._thread.join()
         self._thread = None
 
-    def call(self, action: Callable[[], T]) -> T:
-        """Result of ``action``, done between two chunks; raises what it raises.
+    def request(self, action: Callable[[], T]) -> Future[T]:
+        """Do ``action`` between two chunks, in the order of the requests; the future gets its result.
 
-        What it takes is no overrun: deadlines slip by it.
+        Callbacks of the future are called on the engine's thread. The time that ``action`` takes is no
+        overrun: deadlines slip by it. While the thread does not run, ``action`` is done at once.
         """
-        if not self.active:
-            return action()
         future: Future[T] = Future()
 
         def serve() -> None:
             began = time.monotonic_ns()
             try:
-                future.set_result(action())
+                result = action()
             except Exception as error:
                 future.set_exception(error)
-            with self._figures:
+            else:
+                future.set_result(result)
+            with self._pacer_lock:
                 self._pacer.excuse(time.monotonic_ns() - began)
 
-        self._request(serve)
-        return future.result()
+        if self.active:
+            self._enqueue(serve)
+        else:
+            serve()
+        return future
+
+    def call(self, action: Callable[[], T]) -> T:
+        """Result of ``action``, as ``request`` does it; raises what it raises."""
+        return self.request(action).result()
 
     def post(self, make: Callable[[], Sequence[Record]]) -> None:
         """Let what ``make`` makes go to the sinks between two chunks, without waiting for it."""
         if self.active:
-            self._request(lambda: self.run.emit(make()))
+            self._enqueue(lambda: self.run.write_records(make()))
         else:
-            self.run.emit(make())
+            self.run.write_records(make())
 
-    def step(self, chunks: int, timeout: float) -> Future[float]:
-        """Make ``chunks`` chunks while paused, as fast as possible; the future gets the simulated time in s.
+    def step(self) -> Future[float]:
+        """``stepping.chunks`` chunks while paused, as fast as possible; the future gets the time reached, s.
 
-        Raises GearboxError if the run isn't paused, steps already or has ended; the future fails with it if
-        the run is resumed, reset, stopped or ends meanwhile, or after ``timeout`` s of wall time.
+        The future fails with GearboxError if the run isn't paused, steps already or has ended, if it is
+        unpaused, reset, stopped or ends meanwhile, and after ``stepping.timeout`` s of wall time.
         """
-        steps = Steps(chunks, timeout, time.monotonic_ns())
-        self.call(lambda: self._begin(steps))
-        return steps.done
+        done: Future[float] = Future()
 
-    def pause(self, paused: bool) -> bool:
-        """Stand still, or go on; returns whether that changed anything. For ``call``.
+        def begin() -> None:
+            try:
+                self._begin_steps(done)
+            except GearboxError as error:
+                done.set_exception(error)
 
-        Raises GearboxError if the run has ended.
-        """
-        self._require_going()
-        if paused == self._paused:
-            return False
-        self._paused = paused
-        self._give_up_steps("aborted: resumed")
-        self.run.note(PAUSE if paused else RESUME)
-        self._restart_clocks()
-        return True
+        self.request(begin)
+        return done
+
+    def pause(self) -> bool:
+        """``Run.pause``, for ``request``."""
+        changed = self.run.pause()
+        if changed:
+            self._restart_clocks()
+        return changed
+
+    def unpause(self) -> bool:
+        """``Run.unpause``, for ``request``; steps under way are given up."""
+        changed = self.run.unpause()
+        if changed:
+            self._give_up_steps("aborted: resumed")
+            self._restart_clocks()
+        return changed
 
     def restart(self, begin: Callable[[], None]) -> None:
-        """Let ``begin`` put the run somewhere; clocks and mailbox are as at the beginning. For ``call``."""
+        """Let ``begin`` reset or restore the run; clocks and mailbox are as at the start. For ``request``."""
         begin()
-        self._give_up_steps("aborted: put elsewhere by a reset or a restore")
-        self._failure = ""
-        self._end_told = False
+        self._give_up_steps("aborted: the run was reset or a checkpoint restored")
+        self._end_reported = False
         self._timed_out = False
         self.mailbox.forget()
         self._restart_clocks()
 
-    def change(self, parameters: Parameters) -> None:
-        """Go on with ``parameters``. For ``call``; raises UsageError where one of them is fixed."""
-        pacing = self.run.engine.parameters.pacing
-        self.run.change(parameters)
-        self.mailbox.limit(parameters)
-        if parameters.pacing != pacing:
-            with self._figures:
-                self._pacer.change(parameters.pacing, time.monotonic_ns())
+    def change(self, change: ParameterChange) -> None:
+        """Put ``change`` in force, for ``request``. Raises GearboxError as ``Engine.change`` does."""
+        self.run.change(change)
+        self.mailbox.limit(change.new)
+        if change.new.pacing != change.old.pacing:
+            with self._pacer_lock:
+                self._pacer.change(change.new.pacing, time.monotonic_ns())
 
     def pace(self) -> Pace:
         """Figures since the last call."""
-        with self._figures:
+        with self._pacer_lock:
             return self._pacer.report(time.monotonic_ns())
 
     @property
@@ -204,32 +205,29 @@ class Live:
 
     def _restart_clocks(self) -> None:
         now = time.monotonic_ns()
-        with self._figures:
+        with self._pacer_lock:
             self._pacer.restart(now)
         self.mailbox.restart(now)
 
-    def _begin(self, steps: Steps) -> None:
-        if not self._paused:
+    def _begin_steps(self, done: Future[float]) -> None:
+        if not self.run.state.paused:
             raise GearboxError("not paused: ~/step makes chunks while paused, call ~/pause first")
-        self._require_going()
+        self.run.require_not_ended()
         if self._steps is not None:
             raise GearboxError(
                 f"stepping already, {self._steps.made} of {self._steps.chunks} chunks are made: wait for it"
             )
-        self._steps = steps
-
-    def _require_going(self) -> None:
-        if self.ended:
-            raise GearboxError(f"the run has ended ({self.ended}): call ~/reset first")
+        stepping = self.run.engine.parameters.stepping
+        self._steps = Steps(stepping.chunks, stepping.timeout, time.monotonic_ns(), done)
 
     def _give_up_steps(self, reason: str) -> None:
         steps, self._steps = self._steps, None
         if steps is not None:
             steps.give_up(reason)
 
-    def _request(self, action: Callable[[], None]) -> None:
+    def _enqueue(self, serve: Callable[[], None]) -> None:
         with self._wake:
-            self._requests.append(action)
+            self._requests.append(serve)
             self._wake.notify_all()
 
     def _work(self) -> None:
@@ -241,20 +239,22 @@ class Live:
                 self._make()
             except Exception as error:
                 self._fail(error)
-            if self.ended and not self._end_told:
-                self._end_told = True
-                self._give_up_steps(f"aborted: {self.ended}")
-                try:
-                    self._on_end()
-                except Exception as error:
-                    self._fail(error)
+            if self.run.state.ended and not self._end_reported:
+                self._report_end()
         self._give_up_steps("aborted: deactivated")
 
+    def _report_end(self) -> None:
+        self._end_reported = True
+        self._give_up_steps(f"aborted: {self.run.state.reason}")
+        try:
+            self._on_end()
+        except Exception as error:
+            self._fail(error)
+
     def _fail(self, error: Exception) -> None:
-        """End the run: the node must stay to tell, and a reset may recover."""
-        self._failure = self._failure or str(error) or repr(error)
+        """End the run and keep the thread: the node must report why, and a reset may recover."""
         with contextlib.suppress(Exception):  # the sink that failed may fail again
-            self.run.finish(self._failure)
+            self.run.fail(str(error) or repr(error))
 
     def _make(self) -> None:
         if self._steps is None:
@@ -278,20 +278,21 @@ class Live:
 
     def _patience(self) -> float | None:
         """Wall time until a chunk is due in s; None while there is nothing to do."""
-        if self.ended:
+        state = self.run.state
+        if state.ended:
             return None
-        if self._paused:
+        if state.paused:
             return None if self._steps is None else 0.0
         return self._pacer.wait_ns(self._chunk_ns, time.monotonic_ns()) * 1e-9
 
     def _paced_chunk(self) -> None:
         now = time.monotonic_ns()
-        with self._figures:
+        with self._pacer_lock:
             self._pacer.begun(self._chunk_ns, now)
         delivery = self.mailbox.take(now)
-        self._heed_timeout(delivery)
+        self._check_timeout(delivery)
         chunk = self._chunk(delivery)
-        with self._figures:
+        with self._pacer_lock:
             late_ns = self._pacer.done(len(chunk) * self._interval_ns, time.monotonic_ns())
         if late_ns:
             self._overrun(late_ns)
@@ -303,11 +304,11 @@ class Live:
             return
         self._chunk(self.mailbox.take(now))
         steps.made += 1
-        if steps.made == steps.chunks and not self.ended:
+        if steps.made == steps.chunks and not self.run.state.ended:
             self._steps = None
             steps.done.set_result(self.time)
 
-    def _heed_timeout(self, delivery: Delivery) -> None:
+    def _check_timeout(self, delivery: Delivery) -> None:
         """Time out when commands cease to come, and again if something else has put torques in force."""
         timeout = self._operation.command_timeout
         before = self._timed_out
@@ -324,19 +325,19 @@ class Live:
 
     def _overrun(self, late_ns: int) -> None:
         pacing = self.run.engine.parameters.pacing
-        if pacing.on_overrun == "error":
-            self.run.finish(
+        if pacing.on_overrun == "error" and not self.run.state.ended:
+            self.run.fail(
                 f"overrun: at {self.time:.9g} s a chunk was {late_ns * 1e-6:.3g} ms late and "
                 "pacing.on_overrun = 'error': lower pacing.real_time_factor or take 'slip'"
             )
 
 
-def warm_up(parameters: Parameters, say: Callable[[str], object]) -> None:
+def warm_up(parameters: Parameters, log: Callable[[str], object]) -> None:
     """Do once all that a run does, so that no chunk pays for what is compiled or loaded at first use.
 
-    ``say`` so, and how long it took, if it takes long: the first time on a machine the kernel is compiled.
+    Calls ``log`` if it takes long, which is the first time on a machine: then the kernel is compiled.
     """
-    notice = threading.Timer(PATIENCE, say, ["compiling the kernel; only a first start takes this long"])
+    notice = threading.Timer(PATIENCE, log, ["compiling the kernel; only a first start takes this long"])
     notice.daemon = True
     began = time.perf_counter()
     notice.start()
@@ -344,9 +345,9 @@ def warm_up(parameters: Parameters, say: Callable[[str], object]) -> None:
         run = Run(Engine(parameters), Encoder(parameters, 0))
         run.step()
         opposite = "hold" if parameters.operation.on_timeout == "release" else "release"
-        run.change(updated(parameters, {"operation.on_timeout": opposite}))
+        run.change(change_values(parameters, {"operation.on_timeout": opposite}))
     finally:
         notice.cancel()
     elapsed = time.perf_counter() - began
     if elapsed > PATIENCE:
-        say(f"compiled in {elapsed:.0f} s")
+        log(f"compiled in {elapsed:.0f} s")

@@ -23,7 +23,7 @@ class Delivery(NamedTuple):
     age_ns: int  # wall time since the last good command, or since ``restart``
 
 
-class Tally(NamedTuple):
+class CommandCounts(NamedTuple):
     """Commands counted since the start."""
 
     accepted: int
@@ -107,12 +107,12 @@ class Mailbox:
             self._changes = {}
             self._received.clear()
 
-    def tally(self, now_ns: int) -> Tally:
+    def counts(self, now_ns: int) -> CommandCounts:
         """Counts of this moment."""
         with self._lock:
             at = self._commanded_ns
             ages = {name: (now_ns - at[name]) * 1e-9 if name in at else math.nan for name in Commands._fields}
-            return Tally(self._accepted, self._refused, self._unrecorded, self._last_refusal, ages)
+            return CommandCounts(self._accepted, self._refused, self._unrecorded, self._last_refusal, ages)
 
     def _refusal(self, name: str, value: float) -> str:
         lowest, highest = self._bounds[name]

@@ -5,26 +5,24 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 
-from gear_dynamics_ros import __version__
 from gear_dynamics_ros.channels import CHANNELS, ENERGIES, IMPACTS, PACE, Channel
 from gear_dynamics_ros.messages.encoder import bearing_frame
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.physics.kernel.sources import kernel_hash
-from gear_dynamics_ros.simulation.provenance import model_hash
+from gear_dynamics_ros.simulation.provenance import current_provenance
 from gear_dynamics_ros.topics import TOPICS, resolve
 
 
-def describe(parameters: Parameters, epoch_ns: int, node: str) -> str:
+def describe_model(parameters: Parameters, epoch_ns: int, node: str) -> str:
     """JSON text; ``epoch_ns`` is the ROS time of simulated time 0, ``node`` the full name."""
-    prefix = parameters.joint_prefix
+    prefix, provenance = parameters.joint_prefix, current_provenance()
     named = {entry.name: entry for entry in (*CHANNELS, *ENERGIES)}
     solver = parameters.solver
     return json.dumps(
         {
             "package": "gear_dynamics_ros",
-            "version": __version__,
-            "kernel_hash": kernel_hash(),
-            "model_hash": model_hash(),
+            "version": provenance.version,
+            "kernel_hash": provenance.kernel_hash,
+            "model_hash": provenance.model_hash,
             "epoch_ns": epoch_ns,
             "sample_interval_ns": solver.sample_interval_ns,
             "samples_per_chunk": solver.samples_per_chunk,

@@ -8,7 +8,7 @@ from gear_dynamics_ros.parameters import PacingParameters
 
 
 class Pace(NamedTuple):
-    """Figures of one stretch of wall time; ``overruns`` and ``slipped`` are those of all time."""
+    """Figures of the wall time between two reports; ``overruns`` and ``slipped`` are those of all time."""
 
     real_time_factor: float  # reached
     overruns: int  # chunks that were not done when the next was due
@@ -38,9 +38,9 @@ class Pacer:
         self.restart(now_ns)
 
     def restart(self, now_ns: int) -> None:
-        """Count deadlines, and the stretch of the next report, from ``now_ns`` on, as after a pause."""
-        self._base_ns = self._stretch_began_ns = now_ns
-        self._simulated_ns = self._stretch_simulated_ns = 0
+        """Count deadlines, and the time of the next report, from ``now_ns`` on, as after a pause."""
+        self._base_ns = self._report_began_ns = now_ns
+        self._simulated_ns = self._report_simulated_ns = 0
 
     def excuse(self, time_ns: int) -> None:
         """Put deadlines off by ``time_ns`` that something asked for has taken, save what may be caught up."""
@@ -60,7 +60,7 @@ class Pacer:
     def done(self, chunk_ns: int, now_ns: int) -> int:
         """Note that the chunk has been made and handed on; returns by how many ns the next is late, or 0."""
         self._simulated_ns += chunk_ns
-        self._stretch_simulated_ns += chunk_ns
+        self._report_simulated_ns += chunk_ns
         if self._factor == 0.0:
             return 0
         late_ns = max(0, now_ns - self._due_ns(chunk_ns))
@@ -71,15 +71,15 @@ class Pacer:
 
     def report(self, now_ns: int) -> Pace:
         """Figures since the last report."""
-        elapsed_ns = now_ns - self._stretch_began_ns
+        elapsed_ns = now_ns - self._report_began_ns
         pace = Pace(
-            self._stretch_simulated_ns / elapsed_ns if elapsed_ns > 0 else 0.0,
+            self._report_simulated_ns / elapsed_ns if elapsed_ns > 0 else 0.0,
             self._overruns,
             self._worst_ns * 1e-9,
             self._slipped_ns * 1e-9,
         )
-        self._stretch_began_ns = now_ns
-        self._stretch_simulated_ns = self._worst_ns = 0
+        self._report_began_ns = now_ns
+        self._report_simulated_ns = self._worst_ns = 0
         return pace
 
     def _slip(self, time_ns: int) -> None:

@@ -10,8 +10,8 @@ from typing import TypeVar
 
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.recording.recorder import Recorder
+from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.recording.ring import Excerpt, Ring
-from gear_dynamics_ros.recording.sink import RecorderSink
 from gear_dynamics_ros.simulation.run import Run
 
 T = TypeVar("T")

@@ -11,26 +11,29 @@ from pathlib import Path
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.events import PAUSE, RESUME
 from gear_dynamics_ros.messages.encoder import Encoder, Record
-from gear_dynamics_ros.parameters import Parameters, differences
-from gear_dynamics_ros.realtime import model_info
+from gear_dynamics_ros.parameters import ParameterChange, Parameters, change_to
 from gear_dynamics_ros.realtime.condition import ConditionSink
-from gear_dynamics_ros.realtime.engine_thread import Live
+from gear_dynamics_ros.realtime.engine_thread import EngineThread
 from gear_dynamics_ros.realtime.mailbox import Mailbox
+from gear_dynamics_ros.realtime.model_info import describe_model
 from gear_dynamics_ros.realtime.pacing import Pace
 from gear_dynamics_ros.realtime.recording_control import RecordingControl
 from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.recording.ring import Excerpt
 from gear_dynamics_ros.simulation import checkpoint
+from gear_dynamics_ros.simulation.checkpoint import Checkpoint
 from gear_dynamics_ros.simulation.engine import Engine, require_resumable
 from gear_dynamics_ros.simulation.run import Run
+from gear_dynamics_ros.simulation.run_state import RunState
 from gear_dynamics_ros.simulation.sinks import Sink
+from gear_dynamics_ros.system.futures import then, then_start
 
 
 class Session:
     """Engine thread, sinks and recordings of one run.
 
     Simulated time 0 is the moment it is made, so that stamps run along with the wall clock at real-time
-    factor 1.
+    factor 1. For one thread, which serves the operator.
     """
 
     def __init__(
@@ -39,22 +42,22 @@ class Session:
         mailbox: Mailbox,
         sinks: Sequence[Sink],
         node: str,
-        ended: Callable[[Session], None],
+        on_end: Callable[[Session], None],
     ) -> None:
-        """``node`` is the full name; ``ended`` is called on the engine's thread when the run has ended."""
+        """``node`` is the full name; ``on_end`` is called on the engine's thread when the run has ended."""
         parameters = engine.parameters
         self.epoch_ns = time.time_ns()
         self.condition = ConditionSink()
         self._node = node
-        self._ended = ended
+        self._on_end = on_end
         self._encoder = Encoder(parameters, self.epoch_ns)
         self._run = Run(engine, self._encoder, [*sinks, self.condition], duration=parameters.pacing.duration)
         self.recordings = RecordingControl(self._run, self.epoch_ns, node)
-        self.live = Live(self._run, mailbox, self._run_ended)
+        self.engine_thread = EngineThread(self._run, mailbox, self._run_ended)
         self._started = False
-        self._cut_recording = False  # the end of the run, and not the operator, ended the recording
+        self._record_after_restart = False  # the end of the run, and not the operator, ended the recording
         # A disk may take its time: neither the engine nor whoever serves the operator waits for it.
-        self._writers = ThreadPoolExecutor(max_workers=1, thread_name_prefix="snapshot")
+        self._disk = ThreadPoolExecutor(max_workers=1, thread_name_prefix="disk")
 
     @property
     def parameters(self) -> Parameters:
@@ -62,9 +65,9 @@ class Session:
         return self._run.engine.parameters
 
     @property
-    def completed(self) -> bool:
-        """Whether the run ended because ``pacing.duration`` has been simulated."""
-        return self._run.completed and not self._run.tripped and not self.live.failed
+    def state(self) -> RunState:
+        """State of the run."""
+        return self._run.state
 
     @property
     def now_ns(self) -> int:
@@ -75,21 +78,21 @@ class Session:
         """Begin, or go on where ``stop`` left."""
         if not self._started:
             self._started = True
-            self._tell()
-        elif not self.live.paused:
-            self._run.note(RESUME, "activated")
-        self.live.start()
+            self._write_model_info()
+        elif not self.state.paused:
+            self._run.write_event(RESUME, "activated")
+        self.engine_thread.start()
 
     def stop(self) -> None:
         """Stand still without losing a sample."""
-        self.live.stop()
-        if not self.live.paused:
-            self._run.note(PAUSE, "deactivated")
+        self.engine_thread.stop()
+        if not self.state.paused:
+            self._run.write_event(PAUSE, "deactivated")
 
     def finish(self, reason: str) -> None:
         """End the run and close every sink."""
-        self.live.stop()
-        self._writers.shutdown()
+        self.engine_thread.stop()
+        self._disk.shutdown()
         try:
             self._run.finish(reason)
         finally:
@@ -105,96 +108,107 @@ class Session:
             return f"keeping the last {self.parameters.recording.ring_duration:g} s in memory"
         return self._record(beside=beside)
 
-    def change(self, parameters: Parameters) -> None:
-        """Go on with ``parameters`` from the next chunk edge on. Raises UsageError where one is fixed."""
-        if differences(self.parameters, parameters):
-            self.live.call(lambda: self.live.change(parameters))
-            self._tell()
-
     def report(self, pace: Pace, diagnostics: bytes) -> None:
         """Publish and record how well the pace is kept, and ``diagnostics`` in CDR."""
         wanted = self.parameters.pacing.real_time_factor
 
         def records() -> list[Record]:
-            row = (self.live.time, pace.real_time_factor, wanted, *pace[1:])
+            row = (self.engine_thread.time, pace.real_time_factor, wanted, *pace[1:])
             return [
                 Record("diagnostics", self.now_ns, diagnostics),
                 self._encoder.pacing(self.now_ns, row),
             ]
 
-        self.live.post(records)
+        self.engine_thread.post(records)
 
-    # What services ask for: each returns what it did, in words, and raises GearboxError where it can't be.
+    # Requests of the operator. Each is done between two chunks and waits for nothing; the future gets what
+    # was done, in words, or fails with GearboxError.
 
-    def reset(self) -> str:
+    def change(self, change: ParameterChange) -> Future[None]:
+        """Put changed parameters in force from the next chunk on."""
+
+        def apply() -> None:
+            if change.values:
+                self.engine_thread.change(change)
+                self._write_model_info()
+
+        return self.engine_thread.request(apply)
+
+    def reset(self) -> Future[str]:
         """Back to the start state and the commands of the parameters."""
-        return f"back at the start state{self._restart(self._run.reset)}"
+        return self._restart("back at the start state", self._run.reset)
 
-    def pause(self, paused: bool) -> str:
-        """Let simulated time stand, or go on."""
-        changed = self.live.call(lambda: self.live.pause(paused))
-        return f"{'' if changed else 'already '}{'paused' if paused else 'running'} at {self.live.time:.9g} s"
+    def pause(self) -> Future[str]:
+        """Let simulated time stand still."""
+        return self.engine_thread.request(lambda: self._paused("paused", self.engine_thread.pause()))
 
-    def step(self) -> Future[float]:
-        """``stepping.chunks`` chunks while paused; the future gets the simulated time reached, s."""
-        stepping = self.parameters.stepping
-        return self.live.step(stepping.chunks, stepping.timeout)
+    def unpause(self) -> Future[str]:
+        """Let simulated time go on."""
+        return self.engine_thread.request(lambda: self._paused("running", self.engine_thread.unpause()))
 
-    def split(self) -> str:
+    def step(self) -> Future[str]:
+        """``stepping.chunks`` chunks while paused; done when the last is made."""
+        return then(self.engine_thread.step(), lambda reached: f"simulated {reached:.9g} s")
+
+    def split(self) -> Future[str]:
         """Go on recording in a new file."""
-        self.live.call(self.recordings.split)
-        return "split"
+        return then(self.engine_thread.request(self.recordings.split), lambda _: "split")
 
-    def start_recording(self) -> str:
+    def start_recording(self) -> Future[str]:
         """Record from now on, beside earlier recordings."""
-        path = self.live.call(lambda: self.recordings.begin(beside=True))
-        self._cut_recording = False
-        self._tell()
-        return f"recording to {path}"
+
+        def begin() -> str:
+            path = self.recordings.begin(beside=True)
+            self._record_after_restart = False
+            self._write_model_info()
+            return f"recording to {path}"
+
+        return self.engine_thread.request(begin)
 
     def end_recording(self) -> Future[str]:
-        """Record no more; the future is done when the recording is complete on the disk."""
-        recorder = self.live.call(self.recordings.end)
-        return self._writers.submit(self._close, recorder)
+        """Record no more; done when the recording is complete on the disk."""
+        ended = self.engine_thread.request(self.recordings.end)
+        return then_start(ended, lambda recorder: self._disk.submit(self._close, recorder))
 
     def snapshot(self) -> Future[str]:
-        """Make a recording of what the ring holds; the future is done when it is complete on the disk."""
-        excerpt = self.live.call(self.recordings.cut)
-        return self._writers.submit(self._write, excerpt)
+        """Make a recording of what the ring holds; done when it is complete on the disk."""
+        cut = self.engine_thread.request(self.recordings.cut)
+        return then_start(cut, lambda excerpt: self._disk.submit(self._write, excerpt))
 
-    def save_checkpoint(self) -> str:
+    def save_checkpoint(self) -> Future[str]:
         """Write the state of this moment to ``checkpoint.path``."""
         path = self._checkpoint_path()
-        taken = self.live.call(self._run.checkpoint)
-        checkpoint.save(path, taken)
-        taken_ns = taken.sample * self.parameters.solver.sample_interval_ns
-        return f"saved {path}, taken at {taken_ns * 1e-9:.9g} s"
+        taken = self.engine_thread.request(self._run.checkpoint)
+        return then_start(taken, lambda state: self._disk.submit(self._save, path, state))
 
-    def restore_checkpoint(self) -> str:
+    def restore_checkpoint(self) -> Future[str]:
         """Resume from the state in ``checkpoint.path``; simulated time goes on."""
         path = self._checkpoint_path()
-        stored = checkpoint.load(path)
-        parameters = checkpoint.continued(stored, self.parameters)
+        stored = checkpoint.load_checkpoint(path)
         require_resumable(stored.checkpoint)
 
         def resume() -> None:
-            self.live.change(parameters)
+            running = self.parameters
+            self.engine_thread.change(change_to(running, checkpoint.continued(stored, running)))
             self._run.resume(stored.checkpoint, str(path))
 
-        return f"restored {path}{self._restart(resume)}"
+        return self._restart(f"restored {path}", resume)
 
-    def _restart(self, begin: Callable[[], None]) -> str:
+    def _restart(self, words: str, begin: Callable[[], None]) -> Future[str]:
         """Put the run anew where ``begin`` does; record anew if its end had closed the recording."""
 
         def restart() -> str:
-            self.live.restart(begin)
+            self.engine_thread.restart(begin)
             self.condition.clear(self._run.engine.mesh_loss)
-            record_anew, self._cut_recording = self._cut_recording, False
-            return f", {self._record(beside=True)}" if record_anew else ""
+            record_anew, self._record_after_restart = self._record_after_restart, False
+            recorded = f", {self._record(beside=True)}" if record_anew else ""
+            self._write_model_info()
+            return words + recorded
 
-        more = self.live.call(restart)
-        self._tell()
-        return more
+        return self.engine_thread.request(restart)
+
+    def _paused(self, state: str, changed: bool) -> str:
+        return f"{'' if changed else 'already '}{state} at {self.engine_thread.time:.9g} s"
 
     def _record(self, *, beside: bool) -> str:
         try:
@@ -208,21 +222,26 @@ class Session:
     def _write(self, excerpt: Excerpt) -> str:
         return f"recorded {self.recordings.write(excerpt)}"
 
+    def _save(self, path: Path, state: Checkpoint) -> str:
+        checkpoint.save_checkpoint(path, state)
+        taken_ns = state.sample * state.parameters.solver.sample_interval_ns
+        return f"saved {path}, taken at {taken_ns * 1e-9:.9g} s"
+
     def _checkpoint_path(self) -> Path:
         path = self.parameters.checkpoint.path
         if not path:
             raise GearboxError("checkpoint.path is empty: start the node with a file for checkpoints")
         return Path(path).absolute()
 
-    def _tell(self) -> None:
+    def _write_model_info(self) -> None:
         """Publish and record what the model is, after whatever changed it."""
-        text = model_info.describe(self.parameters, self.epoch_ns, self._node)
-        self.live.post(lambda: [self._encoder.model_info(self.now_ns, text)])
+        text = describe_model(self.parameters, self.epoch_ns, self._node)
+        self._run.write_records([self._encoder.model_info(self.now_ns, text)])
 
     def _run_ended(self) -> None:
-        if not self.completed:
+        if not self.state.completed:
             self._keep_the_fault()
-        self._ended(self)
+        self._on_end(self)
 
     def _keep_the_fault(self) -> None:
         """Finish the recording of a run that ended by a fault; write what the ring holds of it."""
@@ -230,7 +249,7 @@ class Session:
         with contextlib.suppress(GearboxError):
             recorder = self.recordings.end()
             if recorder is not None:
-                self._cut_recording = True
+                self._record_after_restart = True
                 self.recordings.close(recorder)
         with contextlib.suppress(GearboxError):
             if self.recordings.ring is not None:

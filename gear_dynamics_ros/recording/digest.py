@@ -1,8 +1,8 @@
-"""What led from one stored state to the next, as a digest that the next one carries.
+"""What led from one stored checkpoint to the next, as a digest that the next one carries.
 
-A re-simulation makes the samples anew; what people and programs did besides can't be made anew, only be kept
-from being altered: commands as they came, events, descriptions, reports, and entries of a state that nothing
-reads again.
+A re-simulation makes the samples again. It can't make again what people and programs did: commands as they
+came, events, descriptions, reports, and entries of a checkpoint that nothing reads again. The digest shows
+whether these were altered.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from gear_dynamics_ros.topics import OF_A_CHUNK, TOPICS
 TOLD: Final[Collection[str]] = frozenset(TOPICS) - frozenset(OF_A_CHUNK)
 
 
-class History:
-    """SHA-256 of the attachments from which a stretch begins, and of its messages on the topics TOLD."""
+class RunningDigest:
+    """SHA-256 of the attachments of a checkpoint, and of the messages on the topics TOLD that follow it."""
 
     def __init__(self, *opening: bytes) -> None:
         self._digest = hashlib.sha256()

@@ -10,12 +10,13 @@ from typing import Final, NamedTuple
 from gear_dynamics_ros.chunk import Chunk
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages.encoder import Encoder, Record
-from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.parameters import Parameters, change_to
 from gear_dynamics_ros.recording.recorder import Recorder
-from gear_dynamics_ros.recording.sink import RecorderSink
+from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.simulation.checkpoint import StoredCheckpoint, continued
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
+from gear_dynamics_ros.simulation.run_state import Ending
 
 EPOCH_NS: Final = 0  # there is no ROS time: stamps are simulated time
 
@@ -55,7 +56,7 @@ def engine_from_checkpoint(stored: StoredCheckpoint, parameters: Parameters) -> 
     """
     engine = Engine(continued(stored, parameters))
     engine.resume(stored.checkpoint)
-    engine.change(parameters)
+    engine.change(change_to(engine.parameters, parameters))
     return engine
 
 
@@ -79,7 +80,7 @@ def simulate_to_recording(
     try:
         run.step()
         warm, began = engine.sample, time.perf_counter()
-        while not (run.end or interruption()):
+        while not (run.state.ended or interruption()):
             run.step()
             progress(engine.sample)
         if reason := interruption():
@@ -92,6 +93,6 @@ def simulate_to_recording(
         samples=engine.sample,
         duration=engine.sample * interval,
         real_time_factor=(engine.sample - warm) * interval / elapsed,
-        end=run.end,
-        tripped=run.tripped,
+        end=run.state.reason,
+        tripped=run.state.ending is Ending.TRIPPED,
     )

@@ -48,7 +48,7 @@ class Recording:
         self.parts = parts
         self.parameters = parameters
         self.run = parts[0].run
-        self.names = {
+        self.topic_names = {
             key: resolve(topic, self.run.node) for key, topic in TOPICS.items()
         }  # of topics, in full
         self.first_sample, self.end_sample = self._find_samples()  # of the waveform: to before the last
@@ -102,7 +102,7 @@ class Recording:
             counts.update(part.index.topic_counts())
         return [
             TopicCount(name, TOPICS[key].type, counts[name])
-            for key, name in self.names.items()
+            for key, name in self.topic_names.items()
             if name in counts
         ]
 
@@ -110,7 +110,7 @@ class Recording:
     def recorded(self) -> frozenset[str]:
         """Keys in TOPICS of what was recorded."""
         names = {topic.name for topic in self.topics}
-        return frozenset(key for key, name in self.names.items() if name in names)
+        return frozenset(key for key, name in self.topic_names.items() if name in names)
 
     @property
     def channel_names(self) -> tuple[str, ...]:
@@ -137,7 +137,7 @@ class Recording:
 
     def decoder(self) -> MessageDecoder:
         """Decoder of the messages, for one thread."""
-        return MessageDecoder(self.channel_names, self.parameters.joint_prefix)
+        return MessageDecoder(self.channel_names, self.parameters.joint_prefix, str(self.path))
 
     def waveform(self, first: int | None = None, end: int | None = None) -> NDArray[np.float64]:
         """Samples ``first`` to before ``end``, shape (n, channels), as far as the recording holds them.
@@ -304,7 +304,7 @@ class Recording:
 
         Without the last of the part before, which each part repeats at its start.
         """
-        name = self.names[topic]
+        name = self.topic_names[topic]
         before = self.parts[number - 1].last_message(name) if number else None
         own = (message for message in messages if message.topic == name)
         for position, message in enumerate(own):
@@ -318,11 +318,11 @@ class Recording:
 
     def _messages(self, topic: str, from_ns: int | None = None) -> Iterator[StoredMessage]:
         for part in self.parts:
-            yield from part.messages([self.names[topic]], from_ns)
+            yield from part.messages([self.topic_names[topic]], from_ns)
 
     def _latched(self, topic: str) -> Iterator[tuple[int, memoryview]]:
         for number, part in enumerate(self.parts):
-            for message in self.without_repeated(number, topic, part.messages([self.names[topic]])):
+            for message in self.without_repeated(number, topic, part.messages([self.topic_names[topic]])):
                 yield message.time_ns, message.data
 
     def _find_samples(self) -> tuple[int, int]:
@@ -330,7 +330,7 @@ class Recording:
         if earliest is None:
             return self.start.sample, self.start.sample
         time_ns, samples = earliest
-        found = (part.last_message(self.names["waveform"]) for part in reversed(self.parts))
+        found = (part.last_message(self.topic_names["waveform"]) for part in reversed(self.parts))
         last_ns = next((message.time_ns for message in found if message is not None), time_ns)
         return self.sample_of(time_ns) - len(samples) + 1, self.sample_of(last_ns) + 1
 

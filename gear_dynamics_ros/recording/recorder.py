@@ -20,7 +20,7 @@ from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.encoder import Record
 from gear_dynamics_ros.parameters import dump_parameters
 from gear_dynamics_ros.recording import layout
-from gear_dynamics_ros.recording.digest import TOLD, History
+from gear_dynamics_ros.recording.digest import TOLD, RunningDigest
 from gear_dynamics_ros.recording.layout import PartSummary, RunMetadata
 from gear_dynamics_ros.recording.mcap.writer import McapWriter
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint, StoredCheckpoint
@@ -39,7 +39,7 @@ FLUSH_SECONDS: Final = 0.5
 _LATCHED: Final = tuple(key for key, topic in TOPICS.items() if topic.latched)
 
 
-class Stats(NamedTuple):
+class RecorderStats(NamedTuple):
     """How the recorder stands."""
 
     queued: int  # messages handed over, not yet written
@@ -126,10 +126,10 @@ class Recorder:
         return self._error
 
     @property
-    def stats(self) -> Stats:
+    def stats(self) -> RecorderStats:
         """Figures of this moment."""
         with self._changed:
-            return Stats(
+            return RecorderStats(
                 self._queued,
                 self._queued_bytes,
                 self._written,
@@ -369,7 +369,7 @@ class _PartWriter:
         self._topics = topics
         self._channels = {key: number for number, key in enumerate(topics, start=1)}
         self._mcap = McapWriter(path, f"{layout.RUN_METADATA} {__version__}")
-        self._history = History()
+        self._digest = RunningDigest()
         self.finished = False
 
     @property
@@ -384,7 +384,7 @@ class _PartWriter:
         state = StoredCheckpoint(start, current_provenance()).to_text()
         self._attach(run.epoch_ns, layout.PARAMETERS_ATTACHMENT, "yaml", parameters)
         self._attach(run.epoch_ns, layout.START_ATTACHMENT, "json", state)
-        self._history = History(run.to_lines(), parameters.encode(), state.encode())
+        self._digest = RunningDigest(run.to_lines(), parameters.encode(), state.encode())
         self._mcap.add_definitions(*layout.channel_definitions(self._topics.values()))
         self._mcap.sync()
 
@@ -392,14 +392,14 @@ class _PartWriter:
         """Add a message."""
         self._mcap.add_message(self._channels[record.topic], sequence, record.time_ns, record.data)
         if record.topic in TOLD:
-            self._history.add(self._topics[record.topic][0], record.time_ns, record.data)
+            self._digest.add(self._topics[record.topic][0], record.time_ns, record.data)
 
     def keep(self, kept: _Keep, time_ns: int) -> None:
         """Attach a checkpoint, behind all messages before it, with the digest of what led to it."""
         self._mcap.end_chunk()
-        text = StoredCheckpoint(kept.checkpoint, current_provenance(), self._history.text()).to_text()
+        text = StoredCheckpoint(kept.checkpoint, current_provenance(), self._digest.text()).to_text()
         self._attach(time_ns, kept.name, "json", text)
-        self._history = History(text.encode())
+        self._digest = RunningDigest(text.encode())
 
     def flush(self) -> None:
         """Bring every message to the disk."""

@@ -128,28 +128,12 @@ def recover(source: Path, target: Path, progress: Callable[[float], None] = lamb
     source, target = Path(os.path.abspath(source)), Path(os.path.abspath(target))
     files = part_files(source)
     _require_place(source, target)
-    found: list[_Source] = []
-    left_out: dict[str, str] = {}
-    for number, file in enumerate(files):
-        inspected = _inspect(file, _stage(progress, number, 2 * len(files)))
-        if inspected is None:
-            left_out[file.name] = "no MCAP file"
-        else:
-            found.append(inspected)
-    if not found:
-        raise GearboxError(f"'{files[0]}' is no MCAP file: its first bytes are not those of one")
-    _require_own(source, found)
-    found, unbegun = _begun(found)
-    left_out |= {part.path.name: "broke off before its start" for part in unbegun}
+    found, left_out = _inspect_all(source, files, lambda share: progress(share / 2))
     track = _Track(next((part.run for part in found if part.run is not None), None))
     with new_folder(target) as draft:
-        rebuilt: list[_Rebuilt] = []
-        for number, (part, name) in enumerate(zip(found, _names(found, target), strict=True)):
-            stage = _stage(progress, len(files) + number, 2 * len(files))
-            rebuilt.append(_rebuild(part, draft / name, _definitions(part, found), track, stage))
-        topics = {name: topic for part in rebuilt for name, topic in part.topics.items()}
-        metadata = layout.metadata_yaml(topics, [part.part for part in rebuilt])
-        replace_text(draft / layout.METADATA_FILE, metadata)
+        rebuilt = _rebuild_all(
+            found, draft, _names(found, target), track, lambda share: progress((1 + share) / 2)
+        )
     progress(1.0)
     return Recovery(
         source,
@@ -268,6 +252,26 @@ def _stage(progress: Callable[[float], None], number: int, count: int) -> Callab
     return lambda share: progress((number + share) / count)
 
 
+def _inspect_all(
+    source: Path, files: Sequence[Path], progress: Callable[[float], None]
+) -> tuple[list[_Source], dict[str, str]]:
+    """What is whole in the files of a recording; and why others are left out, by name.
+
+    Raises UsageError if the recording is not of this package, GearboxError if no file is MCAP.
+    """
+    inspected = [_inspect(file, _stage(progress, number, len(files))) for number, file in enumerate(files)]
+    found = [part for part in inspected if part is not None]
+    if not found:
+        raise GearboxError(f"'{files[0]}' is no MCAP file: its first bytes are not those of one")
+    _require_own(source, found)
+    begun, unbegun = _begun(found)
+    left_out = {
+        **{file.name: "no MCAP file" for file, part in zip(files, inspected, strict=True) if part is None},
+        **{part.path.name: "broke off before its start" for part in unbegun},
+    }
+    return begun, left_out
+
+
 def _inspect(path: Path, progress: Callable[[float], None]) -> _Source | None:
     """What is whole in a file; None if it is no MCAP file."""
     with reading(path) as stream:
@@ -366,6 +370,24 @@ def _definitions(part: _Source, found: Sequence[_Source]) -> Definitions:
     return next((each for each in candidates if each.channels), part.definitions)
 
 
+def _rebuild_all(
+    found: Sequence[_Source],
+    folder: Path,
+    names: Sequence[str],
+    track: _Track,
+    progress: Callable[[float], None],
+) -> list[_Rebuilt]:
+    """Write the new files, and metadata.yaml beside them. Raises OSError when that fails."""
+    rebuilt = [
+        _rebuild(part, folder / name, _definitions(part, found), track, _stage(progress, number, len(found)))
+        for number, (part, name) in enumerate(zip(found, names, strict=True))
+    ]
+    topics = {name: topic for part in rebuilt for name, topic in part.topics.items()}
+    metadata = layout.metadata_yaml(topics, [part.part for part in rebuilt])
+    replace_text(folder / layout.METADATA_FILE, metadata)
+    return rebuilt
+
+
 def _rebuild(
     source: _Source,
     path: Path,
@@ -374,28 +396,45 @@ def _rebuild(
     progress: Callable[[float], None],
 ) -> _Rebuilt:
     """Write one new file. Raises OSError when that fails."""
-    spoilt: Counter[int] = Counter()
     track.begin(source.first_sample)
     with reading(source.path) as stream, closing(McapWriter(path, _LIBRARY)) as writer:
         _define(writer, definitions, track.node)
-        for record in _data(stream, source.end):
-            progress((record.offset + record.length) / source.size)
-            content = record.content
-            if isinstance(content, ChunkContent) and _readable(content, definitions.channels):
-                _copy_chunk(writer, content)
-                track.follow(content, definitions.channels)
-            elif isinstance(content, Attachment):
-                writer.add_attachment(content.log_time, content.name, content.media_type, bytes(content.data))
-            elif isinstance(content, Metadata):
-                _copy_metadata(writer, content)
-            else:
-                spoilt[record.opcode] += 1
-        found = writer.index
-        part = PartSummary(path.name, found.start_ns, found.end_ns, found.topic_counts())
-        topics = _topics(found.schemas, found.channels, track.node)
+        spoilt = _copy_records(source, stream, writer, definitions.channels, track, progress)
+        index = writer.index
+        part = PartSummary(path.name, index.start_ns, index.end_ns, index.topic_counts())
+        topics = _topics(index.schemas, index.channels, track.node)
         writer.add_metadata(layout.ROSBAG2_METADATA, layout.embedded_metadata(topics, part))
         writer.finish()
-    report = RecoveredPart(
+    return _Rebuilt(part, topics, _recovered_part(source, part, track, spoilt))
+
+
+def _copy_records(
+    source: _Source,
+    stream: BinaryIO,
+    writer: McapWriter,
+    channels: Mapping[int, Channel],
+    track: _Track,
+    progress: Callable[[float], None],
+) -> Counter[int]:
+    """Copy what is whole; returns how many records of which kind are spoilt."""
+    spoilt: Counter[int] = Counter()
+    for record in _data(stream, source.end):
+        progress((record.offset + record.length) / source.size)
+        content = record.content
+        if isinstance(content, ChunkContent) and _readable(content, channels):
+            _copy_chunk(writer, content)
+            track.follow(content, channels)
+        elif isinstance(content, Attachment):
+            writer.add_attachment(content.log_time, content.name, content.media_type, bytes(content.data))
+        elif isinstance(content, Metadata):
+            _copy_metadata(writer, content)
+        else:
+            spoilt[record.opcode] += 1
+    return spoilt
+
+
+def _recovered_part(source: _Source, part: PartSummary, track: _Track, spoilt: Counter[int]) -> RecoveredPart:
+    return RecoveredPart(
         name=source.path.name,
         size=source.size,
         finished=source.finished,
@@ -408,7 +447,6 @@ def _rebuild(
         spoilt_attachments=spoilt[Opcode.ATTACHMENT],
         spoilt_metadata=spoilt[Opcode.METADATA],
     )
-    return _Rebuilt(part, topics, report)
 
 
 def _data(stream: BinaryIO, end: int) -> Iterator[FoundRecord]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from gear_dynamics_ros.chunk import Status
 from gear_dynamics_ros.events import CHANGE, END, EVENTS, RESTORE, TIMEOUT, OperatorEvent
-from gear_dynamics_ros.messages.decoder import ROW_NAMES, MessageDecoder
+from gear_dynamics_ros.messages.decoder import ROW_NAMES
 from gear_dynamics_ros.parameters import differences
 from gear_dynamics_ros.replay.part_reader import RecordedChunk
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint
@@ -48,8 +48,7 @@ def compare_message(recorded: RecordedChunk, topic: str, simulated: bytes | None
 
 def _unlike_rows(recorded: RecordedChunk, topic: str, theirs: bytes, ours: bytes) -> Mismatch:
     """Where two messages of rows differ. Raises GearboxError if the recorded one is spoilt."""
-    decoder = MessageDecoder(recorded.channels, "")
-    then, now = (decoder.rows(topic, recorded.time_ns, data) for data in (theirs, ours))
+    then, now = (recorded.decoder.rows(topic, recorded.time_ns, data) for data in (theirs, ours))
     names = recorded.channels if topic == "waveform" else ROW_NAMES[topic]
     common = min(len(then), len(now))
     unlike = _bits(then[:common]) != _bits(now[:common])

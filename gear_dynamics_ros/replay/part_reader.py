@@ -11,9 +11,10 @@ from typing import NamedTuple, TypeAlias, TypeVar
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.events import OperatorEvent
+from gear_dynamics_ros.messages.decoder import MessageDecoder
 from gear_dynamics_ros.parameters import differences, parse_parameters
 from gear_dynamics_ros.recording import layout
-from gear_dynamics_ros.recording.digest import TOLD, History
+from gear_dynamics_ros.recording.digest import TOLD, RunningDigest
 from gear_dynamics_ros.recording.parts import StoredMessage
 from gear_dynamics_ros.recording.reader import Recording
 from gear_dynamics_ros.topics import COMMAND_TOPICS, OF_A_CHUNK, TOPICS
@@ -29,6 +30,7 @@ class RecordedChunk(NamedTuple):
     time_ns: int  # stamp
     channels: tuple[str, ...]  # of the waveform
     messages: Mapping[str, memoryview]  # CDR by key in TOPICS
+    decoder: MessageDecoder
 
 
 class AskedCommands(NamedTuple):
@@ -54,7 +56,7 @@ class PartReader:
     @cached_property
     def told(self) -> Sequence[StoredMessage]:
         """The messages that no chunk made, in the order of the file, in memory."""
-        names = self._recording.names
+        names = self._recording.topic_names
         found = self.part.messages([names[key] for key in TOLD])
         # Of their own, or each would keep the whole chunk that it stands in.
         return [message._replace(data=memoryview(bytes(message.data))) for message in found]
@@ -83,7 +85,7 @@ class PartReader:
         """Key in TOPICS of what the part should repeat at its start, and does not; empty if none."""
         before = self._recording.parts[self.number - 1]
         for key, topic in TOPICS.items():
-            name = self._recording.names[key]
+            name = self._recording.topic_names[key]
             last = before.last_message(name) if topic.latched else None
             first = next(self.part.messages([name]), None) if last is not None else None
             if last is not None and (first is None or first.data != last.data):
@@ -109,7 +111,7 @@ class PartReader:
         """
         contents = [self.part.attachment(name) for name in opening]
         run = [self.part.run.to_lines()] if layout.START_ATTACHMENT in opening else []
-        found = History(*run, *contents)
+        found = RunningDigest(*run, *contents)
         for message in told:
             found.add(*message)
         return found.text()
@@ -120,7 +122,7 @@ class PartReader:
         Raises GearboxError where messages are not together as a chunk makes them.
         """
         path = self._recording.path
-        keys = {self._recording.names[key]: key for key in OF_A_CHUNK}
+        keys = {self._recording.topic_names[key]: key for key in OF_A_CHUNK}
         decoder = self._recording.decoder()
         gathered: dict[str, StoredMessage] = {}
         for message in self.part.messages(keys, self._recording.stamp_of(first)):
@@ -139,7 +141,7 @@ class PartReader:
                 return
             messages = {key: stored.data for key, stored in gathered.items()}
             channels = self._recording.channel_names
-            yield RecordedChunk(begin, samples, message.time_ns, channels, messages)
+            yield RecordedChunk(begin, samples, message.time_ns, channels, messages, decoder)
             gathered = {}
 
     def _events(self) -> Iterator[tuple[int, OperatorEvent]]:
@@ -154,7 +156,7 @@ class PartReader:
 
     def _asked(self) -> Iterator[tuple[int, AskedCommands]]:
         """Commands as they came, at the samples from which they acted."""
-        keys = {self._recording.names[key]: key for key in COMMAND_TOPICS}
+        keys = {self._recording.topic_names[key]: key for key in COMMAND_TOPICS}
         for topic, time_ns, data in self.told:
             if topic in keys:
                 changes = self._decoder.changes(keys[topic], time_ns, data)

@@ -9,7 +9,7 @@ from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.events import CHANGE, RESET, RESTORE, TIMEOUT, OperatorEvent
 from gear_dynamics_ros.messages.encoder import Encoder
-from gear_dynamics_ros.parameters import updated
+from gear_dynamics_ros.parameters import change_values
 from gear_dynamics_ros.replay.mismatch import Mismatch, compare_event, compare_message, compare_state
 from gear_dynamics_ros.replay.part_reader import Action, AskedCommands, RecordedChunk
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint
@@ -102,7 +102,7 @@ class Resimulation:
             engine.reset()
         elif event.kind == CHANGE:
             try:
-                engine.change(updated(engine.parameters, event.parameters))
+                engine.change(change_values(engine.parameters, event.parameters))
             except UsageError as error:
                 raise GearboxError(
                     f"the change of parameters at sample {event.sample} can't be: {error}"

@@ -180,7 +180,7 @@ def _missing(recording: Recording, legs: Sequence[_Leg]) -> Mismatch | None:
 def _surplus(recording: Recording, legs: Sequence[_Leg], found: _Findings) -> Mismatch | None:
     """Messages of chunks that stand where no chunk has them; the end of what broke off may hold some."""
     whole = all(part.end for part in recording.parts) and legs[0].start == _Place(0, _START)
-    names = {recording.names[key] for key in OF_A_CHUNK}
+    names = {recording.topic_names[key] for key in OF_A_CHUNK}
     count = sum(topic.messages for topic in recording.topics if topic.name in names)
     if whole and count != found.messages:
         return Mismatch(recording.end_sample, "messages of chunks", count, found.messages)

@@ -1,4 +1,4 @@
-"""The gearbox's health as diagnostic_msgs tells it."""
+"""State of the gearbox as a message of diagnostic_msgs."""
 
 from __future__ import annotations
 
@@ -13,35 +13,40 @@ from gear_dynamics_ros.chunk import Commands, Counters
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics.step_check import Check
 from gear_dynamics_ros.realtime.condition import Condition
-from gear_dynamics_ros.realtime.mailbox import Tally
+from gear_dynamics_ros.realtime.mailbox import CommandCounts
 from gear_dynamics_ros.realtime.pacing import Pace
 from gear_dynamics_ros.realtime.session import Session
-from gear_dynamics_ros.recording.recorder import Stats
+from gear_dynamics_ros.recording.recorder import RecorderStats
+from gear_dynamics_ros.simulation.run_state import RunState
 from gear_dynamics_ros.viewer import Viewer
 
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
-FULL_SOON = 60.0  # s of wall time until recording stops for want of room
+FULL_SOON = 60.0  # s of wall time until the disk is full and recording stops
 UNITS = {"drive_torque": "N m", "load_torque": "N m", "speed": "rad/s"}
 
 
 class RunHealth(NamedTuple):
-    state: str  # running, paused, inactive, ended
-    reason: str  # why it ended
+    state: RunState
+    active: bool  # whether the engine's thread runs
     time: float  # simulated, s
-    expected: bool  # ended because pacing.duration was reached
+
+    @property
+    def name(self) -> str:
+        """One of running, paused, inactive, ended."""
+        return self.state.name if self.active or self.state.ended else "inactive"
 
 
 class CommandHealth(NamedTuple):
-    tally: Tally
+    counts: CommandCounts
     in_force: Commands
-    crowded: Sequence[str]  # command topics with several publishers
+    several_publishers: Sequence[str]  # command topics that have several
     timed_out: bool
 
 
 class RecorderHealth(NamedTuple):
     path: str
-    stats: Stats | None  # None where a recording was wanted and could not begin
+    stats: RecorderStats | None  # None where a recording was wanted and could not begin
     error: str | None
 
 
@@ -69,19 +74,21 @@ class Health(NamedTuple):
     viewer: ViewerHealth | None
 
 
-def health(session: Session, pace: Pace, viewer: Viewer | None, crowded: Sequence[str]) -> Health:
-    """How everything stands; ``pace`` since the last report, ``crowded`` topics have several publishers."""
-    live = session.live
-    state = (
-        "ended" if live.ended else "inactive" if not live.active else "paused" if live.paused else "running"
-    )
-    tally = live.mailbox.tally(time.monotonic_ns())
+def collect_health(
+    session: Session, pace: Pace, viewer: Viewer | None, several_publishers: Sequence[str]
+) -> Health:
+    """State of the run and of everything that serves it.
+
+    ``pace`` is that since the last report, ``several_publishers`` names the command topics that have several.
+    """
+    thread = session.engine_thread
+    counts = thread.mailbox.counts(time.monotonic_ns())
     return Health(
-        run=RunHealth(state, live.ended, live.time, session.completed),
+        run=RunHealth(session.state, thread.active, thread.time),
         pace=pace,
         wanted_factor=session.parameters.pacing.real_time_factor,
-        commands=CommandHealth(tally, live.run.engine.commands, crowded, live.timed_out),
-        counters=live.counters,
+        commands=CommandHealth(counts, thread.run.engine.commands, several_publishers, thread.timed_out),
+        counters=thread.counters,
         condition=session.condition.report(),
         recorder=_recorder_health(session),
         ring=_ring_health(session),
@@ -105,22 +112,24 @@ def _ring_health(session: Session) -> RingHealth | None:
     return RingHealth(held, ring.size, session.recordings.snapshot_path)
 
 
-class Surface(NamedTuple):
+class SurfaceWaves(NamedTuple):
     """Highest wave of the tooth surfaces beside what the waveform can show, Hz."""
 
     top_wave: float
     nyquist: float
 
 
-def surface(parameters: Parameters, speed: float) -> Surface:
+def surface_waves(parameters: Parameters, speed: float) -> SurfaceWaves:
     """The highest surface wave at the driving speed ``speed`` in rad/s."""
     gears, ladder = parameters.gears, parameters.surface.scale ** (parameters.surface.waves - 1)
     rough = max(parameters.surface.driving.roughness, parameters.surface.driven.roughness) > 0.0
     waves = gears.driving.teeth * ladder if rough else 0.0
-    return Surface(waves * abs(speed) / (2.0 * math.pi), 0.5 / parameters.solver.sample_interval)
+    return SurfaceWaves(waves * abs(speed) / (2.0 * math.pi), 0.5 / parameters.solver.sample_interval)
 
 
-def statuses(name: str, node: str, health: Health, waves: Surface, checks: Sequence[Check]) -> list[Any]:
+def diagnostic_statuses(
+    name: str, node: str, health: Health, waves: SurfaceWaves, checks: Sequence[Check]
+) -> list[Any]:
     """One DiagnosticStatus a task; ``name`` heads each, ``node`` is the hardware_id."""
     tasks = {
         "run": _run(health.run),
@@ -145,9 +154,9 @@ def statuses(name: str, node: str, health: Health, waves: Surface, checks: Seque
     ]
 
 
-def array(found: list[Any], time_ns: int) -> Any:
+def diagnostic_array(statuses: list[Any], time_ns: int) -> Any:
     """DiagnosticArray stamped ``time_ns``."""
-    message = DiagnosticArray(status=found)
+    message = DiagnosticArray(status=statuses)
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(time_ns, 10**9)
     return message
 
@@ -156,10 +165,10 @@ _Task = tuple[bytes, str, Mapping[str, object]]
 
 
 def _run(run: RunHealth) -> _Task:
-    values = {"state": run.state, "simulated time (s)": f"{run.time:.9g}"}
-    if run.reason and not run.expected:
-        return ERROR, f"{run.reason}; call ~/reset to recover", values
-    return OK, run.reason or run.state, values
+    values = {"state": run.name, "simulated time (s)": f"{run.time:.9g}"}
+    if run.state.ended and not run.state.completed:
+        return ERROR, f"{run.state.reason}; call ~/reset to recover", values
+    return OK, run.state.reason or run.name, values
 
 
 def _pacing(health: Health) -> _Task:
@@ -171,34 +180,34 @@ def _pacing(health: Health) -> _Task:
         "worst lateness (s)": f"{pace.worst_lateness:.6f}",
         "slipped (s)": f"{pace.slipped:.6f}",
     }
-    if health.run.state != "running":
-        return STALE, health.run.state, values
+    if health.run.name != "running":
+        return STALE, health.run.name, values
     if health.wanted_factor > 0.0 and pace.real_time_factor < 0.95 * health.wanted_factor:
         return WARN, "too slow: lower pacing.real_time_factor or lengthen solver.step", values
     return OK, "on time" if health.wanted_factor > 0.0 else "as fast as possible", values
 
 
 def _commands(commands: CommandHealth) -> _Task:
-    tally = commands.tally
+    counts = commands.counts
     values: dict[str, object] = {
-        "accepted": tally.accepted,
-        "refused": tally.refused,
-        "unrecorded": tally.unrecorded,
-        "last refusal": tally.last_refusal,
-        "several publishers": ", ".join(commands.crowded),
+        "accepted": counts.accepted,
+        "refused": counts.refused,
+        "unrecorded": counts.unrecorded,
+        "last refusal": counts.last_refusal,
+        "several publishers": ", ".join(commands.several_publishers),
     }
     for name, value in commands.in_force._asdict().items():
         values[f"{name} ({UNITS[name]})"] = f"{value:.9g}"
-        values[f"{name} age (s)"] = f"{tally.ages[name]:.3f}"
+        values[f"{name} age (s)"] = f"{counts.ages[name]:.3f}"
     if commands.timed_out:
         return WARN, "no command within operation.command_timeout", values
-    if commands.crowded:
+    if commands.several_publishers:
         return (
             WARN,
             "several publishers on a command: of their messages the last before an edge counts",
             values,
         )
-    return OK, f"{tally.refused} refused" if tally.refused else "all good", values
+    return OK, f"{counts.refused} refused" if counts.refused else "all good", values
 
 
 def _contacts(counters: Counters) -> _Task:
@@ -222,8 +231,8 @@ def _condition(run: RunHealth, condition: Condition | None) -> _Task:
         "mean mesh loss (W)": f"{condition.mesh_loss:.6g}",
         "mesh loss, share of drive power": f"{_share(condition.mesh_loss, condition.drive_power):.6g}",
     }
-    if run.state != "running":
-        return STALE, run.state, values
+    if run.name != "running":
+        return STALE, run.name, values
     return OK, "teeth in contact" if condition.apart_share < 1.0 else "teeth apart", values
 
 
@@ -239,7 +248,7 @@ def _step(checks: Sequence[Check]) -> _Task:
     return OK, "the step bears every rate", values
 
 
-def _waveform(waves: Surface) -> _Task:
+def _waveform(waves: SurfaceWaves) -> _Task:
     values = {
         "highest surface wave (Hz)": f"{waves.top_wave:.6g}",
         "half the sampling rate (Hz)": f"{waves.nyquist:g}",

@@ -9,7 +9,7 @@ from gear_dynamics_ros.system.share import share_file
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 LOCAL = "LOCALHOST"
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
-# Each of these says by itself with whom to talk and how.
+# Each of these decides by itself whom ROS 2 reaches, and how.
 DECIDING = (
     "FASTDDS_DEFAULT_PROFILES_FILE",
     PROFILES,

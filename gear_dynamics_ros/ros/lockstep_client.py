@@ -5,16 +5,10 @@ from __future__ import annotations
 import json
 import math
 import random
-import signal
-import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
@@ -32,39 +26,38 @@ from gear_dynamics_ros.replay.publish import (
     ScriptStep,
     require_chunk_edges,
 )
-from gear_dynamics_ros.ros.client_context import ros_context
+from gear_dynamics_ros.ros.gearbox_client import GearboxClient, not_seen, one_line, ros_context
 from gear_dynamics_ros.ros.node_topics import quality
 from gear_dynamics_ros.system.processes import noted_signals
 from gear_dynamics_ros.topics import TOPICS, resolve
 
-POLL = 0.1  # s of wall time
-# Simulated time that one call of ~/step makes at most: a signal is heeded between two, and progress is told.
+# Simulated time that one call of ~/step makes at most: between two, signals and progress are looked at.
 LONGEST_STEP_NS = 200_000_000
 MOST_CHUNKS = 1_000_000  # what stepping.chunks can be
 _DOUBT = "see its log: it may have refused one, or have got one late, or somebody else commands it"
 # What this sets on the gearbox, and puts back.
-CHUNKS, PATIENCE = "stepping.chunks", "stepping.timeout"
+STEP_CHUNKS, STEP_TIMEOUT = "stepping.chunks", "stepping.timeout"
 
 
-class Outcome(NamedTuple):
-    """How far a script was played; ``failure`` tells why not to its end, empty if it was."""
+class ScriptOutcome(NamedTuple):
+    """How far a script was played; ``failure`` is why it was not played to its end, empty if it was."""
 
     origin: int  # sample of the gearbox at the script's time 0; -1 if it did not come to that
     time_ns: int  # simulated since then
     published: int  # commands
-    left_running: bool  # as it was found; otherwise paused
+    left_running: bool  # as before the play; otherwise left paused
     failure: str
-    signal: int  # the number of the signal that broke it off, 0 if none did
+    signal: int  # number of the signal that interrupted it, 0 if none did
 
 
-def play(
+def play_script(
     script: LockstepScript,
     node: str,
     wait: float,
     timeout: float,
     watch: Callable[[int], None],
     ros_arguments: Sequence[str] = (),
-) -> Outcome:
+) -> ScriptOutcome:
     """Play ``script`` to the gearbox with the full name ``node``; ``watch`` gets the ns of it that are over.
 
     Waits ``wait`` s for the gearbox to be ready, then at most ``timeout`` s for each answer. SIGINT and
@@ -72,24 +65,24 @@ def play(
     it was found. Raises UsageError on an impossible name, and where a moment lies within a chunk.
     """
     with noted_signals() as received, ros_context(node, ros_arguments) as context:
-        session = _Session(context, script, node, timeout, watch, received)
+        player = _ScriptClient(context, script, node, timeout, watch, received)
         failures: list[str] = []
         try:
-            session.join(wait)
-            session.play()
+            player.join(wait)
+            player.play()
         except UsageError:
             raise
         except GearboxError as error:
             failures.append(str(error))
         try:
-            session.leave()
+            player.leave()
         except GearboxError as error:
-            failures.append(f"{node} was not left as it was found: {error}")
-        return session.outcome("; ".join(failures))
+            failures.append(f"{node} was not put back as before: {error}")
+        return player.outcome("; ".join(failures))
 
 
-class _Gearbox(NamedTuple):
-    """What the gearbox says of itself."""
+class _GearboxInfo(NamedTuple):
+    """What ``~/model_info`` says of the gearbox."""
 
     epoch_ns: int
     interval_ns: int
@@ -107,7 +100,7 @@ class _InForce(NamedTuple):
     commands: Commands
 
 
-class _Session:
+class _ScriptClient(GearboxClient):
     """One play, all on the caller's thread.
 
     A command and the step after it go one way to one process, which takes them in the order in which they
@@ -123,28 +116,18 @@ class _Session:
         watch: Callable[[int], None],
         received: Sequence[int],
     ) -> None:
-        self._name = node
+        super().__init__(context, "replay_publish", node, timeout, received)
         self._script = script
-        self._timeout = timeout
         self._watch = watch
-        self._received = received
-        self._heeding = True  # signals; what puts the gearbox in order is not broken off halfway
-        self._ros = Node("replay_publish", context=context)
-        self._executor = SingleThreadedExecutor(context=context)
-        self._executor.add_node(self._ros)
         joint = TOPICS["joint_command"]
         self._commands = self._ros.create_publisher(JointState, resolve(joint, node), quality(joint))
-        self._listen("model_info", String, self._take_info)
-        self._listen("event", String, self._take_event)
-        self._listen("applied_command", JointState, self._take_applied)
+        self._listen("model_info", self._take_info)
+        self._listen("event", self._take_event)
+        self._listen("applied_command", self._take_applied)
         self._pause: Any = self._ros.create_client(SetBool, f"{node}/pause")
         self._step: Any = self._ros.create_client(Trigger, f"{node}/step")
-        self._reset: Any = self._ros.create_client(Trigger, f"{node}/reset")
-        self._parameters: Any = self._ros.create_client(
-            SetParametersAtomically, f"{node}/set_parameters_atomically"
-        )
         self._services = (self._pause, self._step, self._reset, self._parameters)
-        self._gearbox: _Gearbox | None = None
+        self._gearbox: _GearboxInfo | None = None
         self._events: list[Mapping[str, Any]] = []
         self._in_force: _InForce | None = None
         self._expected: dict[int, Commands] = {}  # by stamp
@@ -180,26 +163,32 @@ class _Session:
 
     def leave(self) -> None:
         """Let the gearbox go on if it did before, with the parameters it had."""
-        self._heeding = False
+        self._interruptible = False
         if not self._stepping:
             return
         if self._found_running:
             self._succeed(self._pause, SetBool.Request(data=False), "to go on")
         self._set(self._known.stepping)
 
-    def outcome(self, failure: str) -> Outcome:
+    def outcome(self, failure: str) -> ScriptOutcome:
         """What came of it."""
         if not failure and self._unexpected is not None:
-            failure = self._strangers(self._unexpected)
-        number = self._received[0] if failure and self._received else 0
-        return Outcome(self._origin, self._time_ns, self._published, self._found_running, failure, number)
+            failure = self._other_commands(self._unexpected)
+        return ScriptOutcome(
+            self._origin,
+            self._time_ns,
+            self._published,
+            self._found_running,
+            failure,
+            self._signal(failure),
+        )
 
     # The gearbox
 
     def _halt(self) -> None:
         """Pause the gearbox; note at which sample, and whether it ran."""
-        self._heeding = False
-        self._set({PATIENCE: min(self._timeout, specifications()[PATIENCE].maximum or self._timeout)})
+        self._interruptible = False
+        self._set({STEP_TIMEOUT: min(self._timeout, specifications()[STEP_TIMEOUT].maximum or self._timeout)})
         self._mark()
         self._events.clear()
         self._stand()
@@ -207,7 +196,7 @@ class _Session:
         self._origin = self._mark()
         self._origin_ns = self._known.epoch_ns + self._origin * self._known.interval_ns
         self._found_running = any(event["event"] == PAUSE for event in self._events)
-        self._heeding = True
+        self._interruptible = True
 
     def _stand(self) -> None:
         request = SetBool.Request(data=True)
@@ -217,7 +206,7 @@ class _Session:
             self._do(ResetAction())
             answer = self._answer(self._pause, request, "to pause")
         if not answer.success:
-            raise GearboxError(f"{self._name} did not pause: {_line(answer.message)}")
+            raise GearboxError(f"{self._name} did not pause: {one_line(answer.message)}")
 
     def _mark(self) -> int:
         """The sample that the gearbox is to make next, from an event that this causes."""
@@ -229,13 +218,13 @@ class _Session:
             found.extend(
                 int(event["sample"])
                 for event in self._events
-                if event["event"] == CHANGE and event.get("parameters", {}).get(CHUNKS) == number
+                if event["event"] == CHANGE and event.get("parameters", {}).get(STEP_CHUNKS) == number
             )
             return bool(found)
 
-        self._set({CHUNKS: number})
+        self._set({STEP_CHUNKS: number})
         if not self._until(come, self._timeout):
-            raise GearboxError(f"{self._name} told no event for {self._timeout:g} s: see its log")
+            raise GearboxError(f"{self._name} published no event for {self._timeout:g} s: see its log")
         return found[0]
 
     def _do(self, act: ScriptAction) -> None:
@@ -262,8 +251,8 @@ class _Session:
         most = min(max(1, LONGEST_STEP_NS // chunk_ns), MOST_CHUNKS)
         while self._time_ns < end_ns:
             chunks = min(most, (end_ns - self._time_ns) // chunk_ns)
-            if self._stepping[CHUNKS] != chunks:
-                self._set({CHUNKS: chunks})
+            if self._stepping[STEP_CHUNKS] != chunks:
+                self._set({STEP_CHUNKS: chunks})
             self._succeed(self._step, Trigger.Request(), f"to make {chunks} chunks")
             self._time_ns += chunks * chunk_ns
             self._watch(min(self._time_ns, self._script.duration_ns))
@@ -272,100 +261,61 @@ class _Session:
         """Raise GearboxError unless the commands of ``moment`` came in force at its sample."""
         wanted = moment.commands
 
-        def told() -> bool:
+        def reported() -> bool:
             in_force = self._in_force is not None and self._in_force.commands == wanted
             return in_force or self._unexpected is not None
 
-        self._until(told, self._timeout)
+        self._until(reported, self._timeout)
         if self._unexpected is not None:
-            raise GearboxError(self._strangers(self._unexpected))
-        if not told():
+            raise GearboxError(self._other_commands(self._unexpected))
+        if not reported():
             raise GearboxError(
                 f"{self._name} did not put the commands of {moment.time_ns / 1e9:.9g} s in force: "
                 f"{_text(wanted)}; {_DOUBT}"
             )
 
-    def _strangers(self, stray: _InForce) -> str:
-        seconds = (stray.stamp_ns - self._origin_ns) / 1e9
+    def _other_commands(self, found: _InForce) -> str:
+        seconds = (found.stamp_ns - self._origin_ns) / 1e9
         return (
             f"{self._name} has commands in force from {seconds:.9g} s of the recording on that are not those "
-            f"of that moment: {_text(stray.commands)}; {_DOUBT}"
+            f"of that moment: {_text(found.commands)}; {_DOUBT}"
         )
 
-    # Calls
-
     def _set(self, values: Mapping[str, Any]) -> None:
-        request = SetParametersAtomically.Request()
-        request.parameters = [
-            Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
-        ]
-        result = self._answer(self._parameters, request, f"to set {', '.join(values)}").result
-        if not result.successful:
-            raise GearboxError(f"{self._name} refused to set {', '.join(values)}: {_line(result.reason)}")
-        self._stepping.update((name, value) for name, value in values.items() if name in (CHUNKS, PATIENCE))
+        refusal = self._refusal(values)
+        if refusal:
+            raise GearboxError(f"{self._name} refused to set {', '.join(values)}: {refusal}")
+        for name in values.keys() & {STEP_CHUNKS, STEP_TIMEOUT}:
+            self._stepping[name] = values[name]
 
-    def _succeed(self, client: Any, request: Any, what: str) -> None:
-        answer = self._answer(client, request, what)
-        if not answer.success:
-            raise GearboxError(f"{self._name} was asked {what}: {_line(answer.message)}")
+    def _progress(self) -> str:
+        return f"{self._time_ns / 1e9:.6g} s of the recording's {self._script.duration_ns / 1e9:.6g} s"
 
-    def _answer(self, client: Any, request: Any, what: str) -> Any:
-        future = client.call_async(request)
-        # A step gives up by itself after the timeout, and says so.
-        patience = self._timeout + POLL
-        if not self._until(lambda: future.done() or not client.service_is_ready(), patience):
-            raise GearboxError(
-                f"{self._name} was asked {what} and did not answer within {self._timeout:g} s: see its log, "
-                "or give a longer --timeout"
-            )
-        if not future.done():
-            raise GearboxError(f"{self._name} vanished when it was asked {what}: see its log")
-        return future.result()
-
-    def _until(self, condition: Callable[[], bool], longest: float) -> bool:
-        """Serve what comes until ``condition`` holds; False after ``longest`` s."""
-        deadline = time.monotonic() + longest
-        while not condition():
-            if self._heeding and self._received:
-                name = signal.Signals(self._received[0]).name
-                total = self._script.duration_ns / 1e9
-                raise GearboxError(
-                    f"interrupted by {name} at {self._time_ns / 1e9:.6g} s of the recording's {total:.6g} s"
-                )
-            left = deadline - time.monotonic()
-            if left <= 0.0:
-                return False
-            self._executor.spin_once(timeout_sec=min(POLL, left))
-        return True
-
-    # What the gearbox tells
-
-    def _listen(self, key: str, kind: Any, take: Callable[[Any], None]) -> None:
-        self._ros.create_subscription(kind, resolve(TOPICS[key], self._name), take, quality(TOPICS[key]))
+    # Messages of the gearbox
 
     def _take_info(self, message: String) -> None:
         if self._gearbox is not None:
             return
         info = json.loads(message.data)
-        self._gearbox = _Gearbox(
+        self._gearbox = _GearboxInfo(
             epoch_ns=info["epoch_ns"],
             interval_ns=info["sample_interval_ns"],
             chunk_samples=info["samples_per_chunk"],
             joints=tuple(info["joints"][:2]),
-            stepping={name: info["parameters"][name] for name in (CHUNKS, PATIENCE)},
+            stepping={name: info["parameters"][name] for name in (STEP_CHUNKS, STEP_TIMEOUT)},
         )
 
     def _take_event(self, message: String) -> None:
         self._events.append(json.loads(message.data))
 
     def _take_applied(self, message: Any) -> None:
-        self._in_force = told = _InForce(stamp_ns(message.header.stamp), applied_commands(message))
-        played = self._origin >= 0 and told.stamp_ns >= self._origin_ns
-        if played and self._expected.get(told.stamp_ns) != told.commands:
-            self._unexpected = self._unexpected or told
+        self._in_force = applied = _InForce(stamp_ns(message.header.stamp), applied_commands(message))
+        played = self._origin >= 0 and applied.stamp_ns >= self._origin_ns
+        if played and self._expected.get(applied.stamp_ns) != applied.commands:
+            self._unexpected = self._unexpected or applied
 
     @property
-    def _known(self) -> _Gearbox:
+    def _known(self) -> _GearboxInfo:
         if self._gearbox is None:
             raise GearboxError(f"{self._name} has not said what it is: see its log")
         return self._gearbox
@@ -379,10 +329,7 @@ class _Session:
 
     def _absence(self, wait: float) -> str:
         if not any(client.service_is_ready() for client in self._services):
-            return (
-                f"no gearbox {self._name} was seen for {wait:g} s: start it, name it with --node, compare "
-                "ROS_DOMAIN_ID, or give a longer --wait"
-            )
+            return not_seen(self._name, wait)
         return (
             f"{self._name} is there, but was not ready for {wait:g} s: it may be starting or inactive; see "
             "its log, or give a longer --wait"
@@ -394,7 +341,3 @@ def _text(commands: Commands) -> str:
         f"drive {commands.drive_torque:g} N m, load {commands.load_torque:g} N m, "
         f"speed {commands.speed:g} rad/s"
     )
-
-
-def _line(text: str) -> str:
-    return " ".join(text.split())

@@ -12,7 +12,14 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from gear_dynamics_ros.parameters import Parameters, Specification, differences, specifications, updated
+from gear_dynamics_ros.parameters import (
+    ParameterChange,
+    Parameters,
+    Specification,
+    change_values,
+    differences,
+    specifications,
+)
 from gear_dynamics_ros.parameters.rcl_yaml import resolve_scalar
 
 # Declared by rclpy for every node, or by whoever overrides a quality of service.
@@ -67,11 +74,11 @@ def _floated(parameter: Parameter) -> Parameter:
     return parameter
 
 
-def changed(parameters: Parameters, given: Sequence[Parameter]) -> Parameters:
-    """``parameters`` with the values ``given`` to the node; raises UsageError if they can't be together."""
+def change_by(parameters: Parameters, given: Sequence[Parameter]) -> ParameterChange:
+    """Change of ``parameters`` by values ``given`` to the node; raises UsageError as ``change_values``."""
     rows = specifications()
     values = {parameter.name: _plain(parameter.value) for parameter in given if parameter.name in rows}
-    return updated(parameters, values)
+    return change_values(parameters, values)
 
 
 def to_set(old: Parameters, new: Parameters) -> list[Parameter]:

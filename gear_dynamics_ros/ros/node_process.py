@@ -23,7 +23,7 @@ from gear_dynamics_ros.system.threads import wake_punctually
 SPIN = 1.0  # s
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def run_gearbox_node(argv: Sequence[str] | None = None) -> int:
     """Run the node until it is stopped; returns the exit code."""
     parser = argparse.ArgumentParser(
         prog="gearbox",
@@ -37,7 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _own_arguments(argv: Sequence[str] | None) -> list[str] | None:
     try:
         return remove_ros_args(None if argv is None else ["gearbox", *argv])[1:]
-    except Exception:  # what is wrong with the ROS arguments is told when they are used
+    except Exception:  # wrong ROS arguments are reported when they are used
         return []
 
 
@@ -80,7 +80,7 @@ def _spin(signals: Signals) -> int:
     finally:
         node.end(reasons[0] if reasons else "failed")
         node.destroy_node()  # type: ignore[no-untyped-call]
-    return FAILURE if node.recorder_errors else 0
+    return FAILURE if node.recording_failed else 0
 
 
 def _executor() -> Executor:

@@ -133,7 +133,7 @@ def require_running(checkpoint: Checkpoint) -> None:
         raise GearboxError("the checkpoint is of a run that had ended: take an earlier one")
 
 
-def save(path: Path, checkpoint: Checkpoint) -> None:
+def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
     """Write ``checkpoint`` to ``path``; an earlier file there is replaced in one moment or stays.
 
     Raises GearboxError if the run has ended or the file can't be written.
@@ -148,7 +148,7 @@ def save(path: Path, checkpoint: Checkpoint) -> None:
         ) from error
 
 
-def load(path: Path) -> StoredCheckpoint:
+def load_checkpoint(path: Path) -> StoredCheckpoint:
     """What the checkpoint file ``path`` holds.
 
     Raises UsageError if there is none or if it is no checkpoint file, GearboxError if it can't be read.

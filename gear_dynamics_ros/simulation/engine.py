@@ -22,10 +22,8 @@ from gear_dynamics_ros.chunk import (
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.parameters import (
     OperationParameters,
+    ParameterChange,
     Parameters,
-    differences,
-    require_changeable,
-    updated,
 )
 from gear_dynamics_ros.physics.constants import aligned_zeros, excitation_table, kernel_constants
 from gear_dynamics_ros.physics.kernel import entry
@@ -76,17 +74,16 @@ class Engine:
         if not self._constants["governed"]:
             self._state["drive_torque"] = commands.drive_torque
 
-    def change(self, parameters: Parameters) -> None:
-        """Put ``parameters`` in force from the next sample on.
+    def change(self, change: ParameterChange) -> None:
+        """Put the parameters ``change.new`` in force from the next sample on.
 
         Drive torque, load torque and speed that differ become commands, the others stay in force. The
-        governor takes over and hands over at the drive torque in force. Raises UsageError, changing nothing,
-        where something differs that is fixed while the gearbox runs.
+        governor takes over and hands over at the drive torque in force. Raises GearboxError, changing
+        nothing, if ``change.old`` is no longer in force: something else changed the parameters meanwhile.
         """
-        old = self.parameters
-        require_changeable(old, parameters)
-        # A -0.0 for a 0.0 counts as no difference, and must make none to the bits either.
-        new = updated(old, differences(old, parameters))
+        old, new = change.old, change.new
+        if old is not self.parameters:
+            raise GearboxError("the parameters were changed meanwhile by something else: set them again")
         excitations = excitation_table(new)
         constants = kernel_constants(new, excitations)
         stored = entry.evaluate_before_change(self._constants, self._state, self._points, *self._excitations)

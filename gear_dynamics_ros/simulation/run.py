@@ -15,15 +15,18 @@ from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.events import (
     CHANGE,
     END,
+    PAUSE,
     RESET,
     RESTORE,
+    RESUME,
     START,
     TIMEOUT,
 )
 from gear_dynamics_ros.messages.encoder import Encoder, Record
-from gear_dynamics_ros.parameters import OperationParameters, Parameters, differences
+from gear_dynamics_ros.parameters import OperationParameters, ParameterChange
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.run_state import Ending, RunState
 from gear_dynamics_ros.simulation.sinks import Sink
 
 
@@ -33,7 +36,7 @@ def commands_of_timeout(operation: OperationParameters) -> Mapping[str, float]:
 
 
 class Run:
-    """One engine, its messages and the sinks they go to.
+    """One engine, its state, its messages and the sinks they go to.
 
     The commands in force are written before the first chunk, whenever they change, and to each sink attached
     later, stamped at the sample where they take effect. ``duration`` is simulated time in s, 0 for no end.
@@ -49,22 +52,12 @@ class Run:
         self._begun = False
         self._applied: Commands | None = None  # commands last written, unless others came in force since
         self._last_sample = _samples(duration, engine.parameters.solver.sample_interval_ns)
-        self._end = ""
+        self._state = RunState()
 
     @property
-    def end(self) -> str:
-        """Why the run ended; empty while it can go on."""
-        return self._end
-
-    @property
-    def completed(self) -> bool:
-        """Whether ``pacing.duration`` has been simulated."""
-        return self._last_sample is not None and self.engine.sample >= self._last_sample
-
-    @property
-    def tripped(self) -> bool:
-        """Whether the engine itself ended the run; a reset recovers."""
-        return self.engine.status is not Status.RUNNING
+    def state(self) -> RunState:
+        """Whether the run goes on, is paused or has ended, and why it ended. For any thread."""
+        return self._state
 
     def step(self, commands: Commands | None = None, received: Sequence[tuple[str, bytes]] = ()) -> Chunk:
         """The next chunk, with ``commands`` in force from its first sample on; at the end a shorter one.
@@ -72,8 +65,7 @@ class Run:
         ``received`` are the messages (key in TOPICS, CDR) behind ``commands``; they are written as they came,
         before the change they caused. Raises GearboxError if the run has ended.
         """
-        if self._end:
-            raise GearboxError(f"the run has ended ({self._end}); reset it to go on")
+        self.require_not_ended()
         if commands is not None:
             self.engine.command(commands)
         heading, welcome = self._heading(received)
@@ -85,29 +77,26 @@ class Run:
             lambda sink: sink.write(chunk, [*welcome, *records] if sink in newcomers else records),
         )
         if chunk.status is not Status.RUNNING:
-            self.finish(chunk.message)
-        elif self.completed:
-            self.finish("pacing.duration reached")
+            self._end(Ending.TRIPPED, chunk.message)
+        elif self._last_sample is not None and self.engine.sample >= self._last_sample:
+            self._end(Ending.COMPLETED, "pacing.duration reached")
         return chunk
+
+    def pause(self) -> bool:
+        """Let simulated time stand still on request; returns False if it does already.
+
+        Raises GearboxError if the run has ended.
+        """
+        return self._set_paused(paused=True)
+
+    def unpause(self) -> bool:
+        """Let simulated time go on; returns False if it does already. Raises GearboxError as ``pause``."""
+        return self._set_paused(paused=False)
 
     def reset(self, message: str = "") -> None:
         """Back to the start state and the commands of the parameters; simulated time goes on."""
         self.engine.reset()
-        self._end = ""
-        self._note_commands()
-        self.note(RESET, message)
-
-    def change(self, parameters: Parameters) -> None:
-        """Put ``parameters`` in force from the next sample on, as ``Engine.change`` does.
-
-        Writes an event with the values that differ, and none if nothing does. Raises UsageError, changing
-        nothing, where something differs that is fixed while the gearbox runs.
-        """
-        changed = differences(self.engine.parameters, parameters)
-        if changed:
-            self.engine.change(parameters)
-            self._note_commands()
-            self.note(CHANGE, parameters=changed)
+        self._start_again(RESET, message)
 
     def resume(self, checkpoint: Checkpoint, message: str = "") -> None:
         """Go on from the state of ``checkpoint`` while simulated time goes on, as ``Engine.resume`` does.
@@ -117,9 +106,7 @@ class Run:
         Raises GearboxError, changing nothing, if it can't be one, or is of a run that had ended.
         """
         self.engine.resume(checkpoint)
-        self._end = ""
-        self._note_commands()
-        self.note(RESTORE, message, checkpoint=checkpoint.to_tree())
+        self._start_again(RESTORE, message, checkpoint=checkpoint.to_tree())
 
     @property
     def unreleased(self) -> bool:
@@ -129,30 +116,52 @@ class Run:
         return any(getattr(in_force, name) != value for name, value in released.items())
 
     def time_out(self) -> None:
-        """Tell that no command came in time, and release the torques where operation.on_timeout says so."""
+        """Write that no command came in time; release the torques where operation.on_timeout says so."""
         operation = self.engine.parameters.operation
         released = commands_of_timeout(operation)
         if released:
             self.engine.command(self.engine.commands._replace(**released))
-            self._note_commands()
+            self._forget_applied()
         outcome = "torques released" if released else "commands held"
         details = {"commands": released} if released else {}
-        self.note(TIMEOUT, f"no command for {operation.command_timeout:g} s: {outcome}", **details)
+        self.write_event(TIMEOUT, f"no command for {operation.command_timeout:g} s: {outcome}", **details)
 
-    def note(self, kind: str, message: str = "", **details: Mapping[str, Any]) -> None:
-        """Write an event that happens before the next sample, with entries of its own."""
-        engine = self.engine
-        self.emit([self._encoder.event(kind, engine.sample, message, engine.counters, **details)])
+    def change(self, change: ParameterChange) -> None:
+        """Put ``change`` in force from the next sample on, as ``Engine.change`` does.
 
-    def emit(self, records: Sequence[Record]) -> None:
-        """Write messages that belong to no chunk."""
-        _each(self._sinks, lambda sink: sink.write(None, records))
+        Writes an event with the values that differ, and none if nothing does. Raises GearboxError as
+        ``Engine.change`` does.
+        """
+        if change.values:
+            self.engine.change(change)
+            self._forget_applied()
+            self.write_event(CHANGE, parameters=change.values)
 
     def finish(self, reason: str) -> None:
-        """End the run with a reason, once; sinks stay open for what is still to come."""
-        if not self._end:
-            self._end = reason
-            self.note(END, reason)
+        """End the run on request, once; sinks stay open for what is still to come."""
+        self._end(Ending.STOPPED, reason)
+
+    def fail(self, reason: str) -> None:
+        """End the run because of an error, which replaces the reason if the run has ended already."""
+        if self._state.ending is not Ending.FAILED:
+            ended = self._state.ended
+            self._state = self._state._replace(ending=Ending.FAILED, reason=reason)
+            if not ended:
+                self.write_event(END, reason)
+
+    def require_not_ended(self) -> None:
+        """Raise GearboxError if the run has ended."""
+        if self._state.ended:
+            raise GearboxError(f"the run has ended ({self._state.reason}): call ~/reset first")
+
+    def write_event(self, kind: str, message: str = "", **details: Mapping[str, Any]) -> None:
+        """Write an operator event that happens before the next sample, with entries of its own."""
+        engine = self.engine
+        self.write_records([self._encoder.event(kind, engine.sample, message, engine.counters, **details)])
+
+    def write_records(self, records: Sequence[Record]) -> None:
+        """Write messages that belong to no chunk."""
+        _each(self._sinks, lambda sink: sink.write(None, records))
 
     def attach(self, sink: Sink) -> None:
         """Let ``sink`` have everything from the next chunk on."""
@@ -190,7 +199,26 @@ class Run:
         self._applied = self.engine.commands
         return [*heading, applied], []
 
-    def _note_commands(self) -> None:
+    def _end(self, ending: Ending, reason: str) -> None:
+        if not self._state.ended:
+            self._state = self._state._replace(ending=ending, reason=reason)
+            self.write_event(END, reason)
+
+    def _set_paused(self, *, paused: bool) -> bool:
+        self.require_not_ended()
+        if paused == self._state.paused:
+            return False
+        self._state = self._state._replace(paused=paused)
+        self.write_event(PAUSE if paused else RESUME)
+        return True
+
+    def _start_again(self, kind: str, message: str, **details: Mapping[str, Any]) -> None:
+        """Go on, also after an end, in the state that the engine was put in."""
+        self._state = RunState(paused=self._state.paused)
+        self._forget_applied()
+        self.write_event(kind, message, **details)
+
+    def _forget_applied(self) -> None:
         """What else than a command put commands in force: a command of the old values is a change again."""
         if self._applied != self.engine.commands:
             self._applied = None
@@ -203,7 +231,7 @@ class Run:
 
 
 def _each(sinks: Iterable[Sink], act: Callable[[Sink], None]) -> None:
-    """Let every sink have its due, even if one of them fails; raises the first failure."""
+    """Do ``act`` for every sink, even if it fails for one; raises the first failure."""
     failures: list[Exception] = []
     for sink in sinks:
         try:

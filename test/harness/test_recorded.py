@@ -11,7 +11,7 @@ from gear_dynamics_ros import recording
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.harness.profile import Profile, step_profile
-from gear_dynamics_ros.parameters import Parameters, updated
+from gear_dynamics_ros.parameters import Parameters, change_values, updated
 from gear_dynamics_ros.replay import publish
 from gear_dynamics_ros.replay.publish import ChangeAction, ResetAction
 from gear_dynamics_ros.simulation.engine import Engine
@@ -37,9 +37,9 @@ def eventful(tmp_path_factory: pytest.TempPathFactory):
         if chunk == 2:
             return commands._replace(load_torque=20.0)
         if chunk == 4:
-            run.change(updated(run.engine.parameters, CHANGED))
+            run.change(change_values(run.engine.parameters, CHANGED))
         if chunk == 5:
-            run.change(updated(run.engine.parameters, {"stepping.chunks": 7}))
+            run.change(change_values(run.engine.parameters, {"stepping.chunks": 7}))
         if chunk == 6:
             run.reset()
         if chunk == 8:
@@ -83,7 +83,7 @@ def test_what_is_left_out_is_counted(eventful) -> None:
 def test_a_change_of_commands_alone_is_not_left_out(tmp_path: Path) -> None:
     def act(run, chunk):
         if chunk == 1:
-            run.change(updated(run.engine.parameters, {"operation.load_torque": 20.0}))
+            run.change(change_values(run.engine.parameters, {"operation.load_torque": 20.0}))
 
     bag = record(tmp_path / "bag", PARAMETERS, 3, act)
     assert not +publish.skipped_by_commands(bag)
@@ -101,7 +101,7 @@ def test_an_engine_given_the_script_makes_the_same_bits(eventful) -> None:
             if isinstance(act, ResetAction):
                 engine.reset()
             else:
-                engine.change(updated(engine.parameters, act.parameters))
+                engine.change(change_values(engine.parameters, act.parameters))
         engine.command(moment.commands)
         made.append(engine.advance((end_ns - moment.time_ns) // eventful.sample_interval_ns).samples)
     # All but the time, which goes on through a reset.

@@ -22,11 +22,11 @@ from gear_dynamics_ros.parameters import (
     GearParameters,
     Parameters,
     Specification,
+    change_to,
     differences,
     dump_parameters,
     load_parameters,
     parameters_page,
-    require_changeable,
     specifications,
 )
 from gear_dynamics_ros.parameters.rcl_yaml import SMALLEST_NORMAL, parse_yaml, resolve_scalar, scalar_text
@@ -147,9 +147,9 @@ def test_a_change_of_what_is_fixed_names_the_parameter_and_both_values() -> None
     old = Parameters()
     thicker = Parameters.from_flat({"oil.viscosity": 0.05})
     assert differences(old, thicker) == {"oil.viscosity": 0.05}
-    require_changeable(old, thicker)
+    assert change_to(old, thicker).values == {"oil.viscosity": 0.05}
     with pytest.raises(UsageError, match=r"^model = improved is fixed .* model = compared$"):
-        require_changeable(old, Parameters.from_flat({"oil.viscosity": 0.05, "model": "compared"}))
+        change_to(old, Parameters.from_flat({"oil.viscosity": 0.05, "model": "compared"}))
 
 
 def numbers() -> list[Specification]:

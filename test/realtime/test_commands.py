@@ -44,7 +44,7 @@ def test_of_several_the_last_counts_and_each_is_handed_over_once(mailbox):
 def test_what_cannot_be_is_refused_as_a_whole(mailbox, changes):
     assert "refused" in mailbox.offer("joint_command", changes, b"", 5)
     assert mailbox.take(6) == ({}, [], 6)
-    assert mailbox.tally(6)[:2] == (0, 1)
+    assert mailbox.counts(6)[:2] == (0, 1)
 
 
 def test_a_joint_command_names_what_it_changes():
@@ -58,7 +58,7 @@ def test_a_joint_command_names_what_it_changes():
 def test_each_command_has_an_age_of_its_own(mailbox):
     mailbox.offer("speed_command", {"speed": 1.0}, b"", 10**9)
     mailbox.offer("load_torque_command", {"load_torque": 1.0}, b"", 3 * 10**9)
-    ages = mailbox.tally(4 * 10**9).ages
+    ages = mailbox.counts(4 * 10**9).ages
     assert ages["speed"] == 3.0 and ages["load_torque"] == 1.0 and math.isnan(ages["drive_torque"])
 
 
@@ -69,7 +69,7 @@ def test_a_burst_keeps_the_last_value_and_a_bounded_number_of_messages(mailbox):
     delivery = mailbox.take(burst)
     assert delivery.changes == {"load_torque": burst - 1.0}
     assert delivery.received[0][1] == b"7" and len(delivery.received) == MOST_RECEIVED
-    assert mailbox.tally(burst).unrecorded == 7
+    assert mailbox.counts(burst).unrecorded == 7
 
 
 def test_a_new_speed_limit_bounds_the_commands_that_follow(mailbox):

@@ -9,11 +9,12 @@ import pytest
 
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages.encoder import Encoder
-from gear_dynamics_ros.parameters import Parameters, updated
-from gear_dynamics_ros.realtime.engine_thread import Live
+from gear_dynamics_ros.parameters import Parameters, change_values
+from gear_dynamics_ros.realtime.engine_thread import EngineThread
 from gear_dynamics_ros.realtime.mailbox import Mailbox
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
+from gear_dynamics_ros.simulation.run_state import Ending
 from support.processes import until
 
 # Half a second of simulated time from the start to the speed limit.
@@ -50,7 +51,7 @@ def start():
         watcher = Watcher()
         run = Run(Engine(parameters), Encoder(parameters, 0), [watcher])
         ended = threading.Event()
-        live = Live(run, Mailbox(parameters, time.monotonic_ns()), ended.set)
+        live = EngineThread(run, Mailbox(parameters, time.monotonic_ns()), ended.set)
         running.append(live)
         live.start()
         return live, watcher, ended
@@ -79,7 +80,7 @@ def test_a_command_that_is_too_old_is_held_or_released(start, on_timeout, load):
 def test_what_fails_in_a_call_fails_in_the_caller_and_the_run_goes_on(start):
     live, watcher, _ = start()
     with pytest.raises(GearboxError, match="not paused"):
-        live.step(1, 1.0)
+        step(live, 1, 1.0).result(60.0)
     known = len(watcher.chunks)
     watcher.until(lambda chunk: len(watcher.chunks) > known)
 
@@ -96,7 +97,7 @@ def test_a_sink_that_fails_ends_the_run_with_its_reason(start):
 
     live.call(lambda: live.run.attach(Broken()))
     assert ended.wait(120.0)
-    assert "out of paper" in live.ended
+    assert "out of paper" in live.run.state.reason
 
 
 def test_stopping_and_starting_loses_no_sample(start):
@@ -111,10 +112,16 @@ def test_stopping_and_starting_loses_no_sample(start):
     assert [chunk.first_sample for chunk in watcher.chunks] == [200 * k for k in range(len(watcher.chunks))]
 
 
+def step(live, chunks, timeout):
+    values = {"stepping.chunks": chunks, "stepping.timeout": timeout}
+    live.call(lambda: live.change(change_values(live.run.engine.parameters, values)))
+    return live.step()
+
+
 def paused(start, **values):
     live, watcher, ended = start(**values)
     watcher.until(lambda chunk: True)
-    assert live.call(lambda: live.pause(True)) and not live.call(lambda: live.pause(True))
+    assert live.call(lambda: live.pause()) and not live.call(lambda: live.pause())
     return live, watcher, ended
 
 
@@ -122,7 +129,7 @@ def test_steps_make_as_many_chunks_as_wanted_while_paused(start):
     live, watcher, _ = paused(start)
     known = len(watcher.chunks)
     before, overruns = live.time, live.pace().overruns
-    assert live.step(25, 60.0).result(60.0) == pytest.approx(before + 0.05)
+    assert step(live, 25, 60.0).result(60.0) == pytest.approx(before + 0.05)
     assert len(watcher.chunks) == known + 25
     assert live.pace().overruns == overruns
 
@@ -130,18 +137,18 @@ def test_steps_make_as_many_chunks_as_wanted_while_paused(start):
 @pytest.mark.parametrize(
     ("meanwhile", "reason"),
     [
-        (lambda live: live.call(lambda: live.pause(False)), "aborted: resumed after"),
-        (lambda live: live.call(lambda: live.restart(live.run.reset)), "aborted: put elsewhere .* after"),
+        (lambda live: live.call(lambda: live.unpause()), "aborted: resumed after"),
+        (lambda live: live.call(lambda: live.restart(live.run.reset)), "aborted: the run was reset .* after"),
         (lambda live: live.stop(), "aborted: deactivated after"),
     ],
 )
 def test_steps_are_given_up_when_something_else_is_wanted(start, meanwhile, reason):
     live, watcher, _ = paused(start)
     known = len(watcher.chunks)
-    steps = live.step(1_000_000, 3600.0)
+    steps = step(live, 1_000_000, 3600.0)
     watcher.until(lambda chunk: len(watcher.chunks) > known)
     with pytest.raises(GearboxError, match="stepping already"):
-        live.step(1, 1.0)
+        step(live, 1, 1.0).result(60.0)
     meanwhile(live)
     with pytest.raises(GearboxError, match=f"{reason} .* of 1000000 chunks"):
         steps.result(60.0)
@@ -150,30 +157,30 @@ def test_steps_are_given_up_when_something_else_is_wanted(start, meanwhile, reas
 def test_steps_are_given_up_when_their_time_is_over(start):
     live, _, _ = paused(start)
     with pytest.raises(GearboxError, match=r"stepping.timeout"):
-        live.step(1_000_000, 0.05).result(60.0)
-    assert live.paused and live.step(1, 60.0).result(60.0)
+        step(live, 1_000_000, 0.05).result(60.0)
+    assert live.run.state.paused and step(live, 1, 60.0).result(60.0)
 
 
 def test_steps_are_given_up_when_the_run_ends(start):
     live, _, ended = paused(start, **RUNNING_AWAY)
     with pytest.raises(GearboxError, match="aborted: over-speed"):
-        live.step(1_000_000, 3600.0).result(120.0)
+        step(live, 1_000_000, 3600.0).result(120.0)
     assert ended.wait(60.0)
     with pytest.raises(GearboxError, match=r"the run has ended .*: call ~/reset first"):
-        live.step(1, 1.0)
+        step(live, 1, 1.0).result(60.0)
 
 
 def test_an_overrun_ends_the_run_where_it_is_to(start):
     live, _, ended = start(**{"pacing.real_time_factor": 1e6, "pacing.on_overrun": "error"})
     assert ended.wait(120.0)
-    assert "overrun" in live.ended and "pacing.real_time_factor" in live.ended
+    assert "overrun" in live.run.state.reason and "pacing.real_time_factor" in live.run.state.reason
 
 
 def test_parameters_change_between_two_chunks_and_the_pace_with_them(start):
     live, watcher, _ = start(**{"pacing.real_time_factor": 0.1})
     watcher.until(lambda chunk: True)
     parameters = live.run.engine.parameters
-    wanted = updated(parameters, {"operation.load_torque": 12.0, "pacing.real_time_factor": 0.0})
+    wanted = change_values(parameters, {"operation.load_torque": 12.0, "pacing.real_time_factor": 0.0})
     live.call(lambda: live.change(wanted))
     known = len(watcher.chunks)
     watcher.until(lambda chunk: len(watcher.chunks) > known + 3)
@@ -198,7 +205,7 @@ def test_what_is_posted_to_a_broken_sink_ends_the_run_and_not_the_thread(start):
     live.call(lambda: live.run.attach(Broken()))
     live.post(list)
     assert ended.wait(120.0)
-    assert live.call(lambda: live.ended) == "out of ink"
+    assert live.call(lambda: live.run.state.reason) == "out of ink"
 
 
 def test_what_was_asked_behind_something_that_fails_is_done(start):
@@ -228,7 +235,10 @@ def test_a_failure_at_the_end_of_the_run_leaves_the_thread_to_serve(start):
 
     live._on_end = fail
     assert ended.wait(60.0)
-    assert live.call(lambda: live.ended) == "nobody wants to know" and live.failed
+    assert (
+        live.call(lambda: live.run.state.reason) == "nobody wants to know"
+        and live.run.state.ending is Ending.FAILED
+    )
 
 
 def test_what_came_while_nothing_ran_is_no_command(start):
@@ -246,4 +256,4 @@ def test_an_ended_run_can_be_neither_paused_nor_resumed(start):
     live, _, ended = start(**RUNNING_AWAY)
     assert ended.wait(60.0)
     with pytest.raises(GearboxError, match="the run has ended"):
-        live.call(lambda: live.pause(False))
+        live.call(lambda: live.unpause())

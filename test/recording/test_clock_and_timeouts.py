@@ -19,11 +19,11 @@ from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.events import START, TIMEOUT
 from gear_dynamics_ros.messages.cdr import message_class, serialize
 from gear_dynamics_ros.messages.encoder import Encoder
-from gear_dynamics_ros.parameters import Parameters, updated
-from gear_dynamics_ros.realtime.engine_thread import Live
+from gear_dynamics_ros.parameters import Parameters, change_values
+from gear_dynamics_ros.realtime.engine_thread import EngineThread
 from gear_dynamics_ros.realtime.mailbox import Mailbox
 from gear_dynamics_ros.recording.recorder import Recorder
-from gear_dynamics_ros.recording.sink import RecorderSink
+from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.replay.verify import verify_recording
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
@@ -57,7 +57,7 @@ def test_time_outs_and_the_clock_come_out_again(deeds: list[str], rate: float, i
                 run.time_out()
                 timeouts += 1
             elif deed in ("hold", "release"):
-                run.change(updated(run.engine.parameters, {"operation.on_timeout": deed}))
+                run.change(change_values(run.engine.parameters, {"operation.on_timeout": deed}))
             elif deed == "reset":
                 run.reset()
             elif deed == "split":
@@ -129,16 +129,16 @@ class _Watcher:
             assert self._changed.wait_for(lambda: self._run.engine.commands == wanted, 120.0)
 
 
-def offer(live: Live, load: float) -> None:
+def offer(live: EngineThread, load: float) -> None:
     data = serialize(FLOAT64, message_class(FLOAT64)(data=load))
     live.mailbox.offer("load_torque_command", {"load_torque": load}, data, time.monotonic_ns())
 
 
-def live_run(path: Path, **values: Any) -> tuple[Live, _Watcher]:
+def live_run(path: Path, **values: Any) -> tuple[EngineThread, _Watcher]:
     run, _ = recorded(path, **RELEASE | values, **{"pacing.real_time_factor": 0.2, "solver.step": 1e-5})
     watcher = _Watcher(run)
     run.attach(watcher)
-    live = Live(run, Mailbox(run.engine.parameters, time.monotonic_ns()), lambda: None)
+    live = EngineThread(run, Mailbox(run.engine.parameters, time.monotonic_ns()), lambda: None)
     live.start()
     return live, watcher
 
@@ -151,7 +151,7 @@ def test_torques_are_released_once_and_return_with_a_command(tmp_path: Path) -> 
     watcher.until(Commands(0.0, 22.0, 1623.156))
     watcher.until(Commands(0.0, 0.0, 1623.156))
     # What else puts a torque in force is released again, and that is told too.
-    wanted = updated(live.run.engine.parameters, {"operation.load_torque": 12.0})
+    wanted = change_values(live.run.engine.parameters, {"operation.load_torque": 12.0})
     live.call(lambda: live.change(wanted))
     watcher.until(Commands(0.0, 0.0, 1623.156))
     live.stop()

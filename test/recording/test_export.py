@@ -21,9 +21,9 @@ from gear_dynamics_ros.channels import CHANNEL_NAMES, CHANNELS, ENERGIES, IMPACT
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.parameters import Parameters, dump_parameters, updated
+from gear_dynamics_ros.parameters import Parameters, change_values, dump_parameters
 from gear_dynamics_ros.recording.export.formats import ROW_GROUP
-from gear_dynamics_ros.recording.export.write import export
+from gear_dynamics_ros.recording.export.write import export_table as export
 from gear_dynamics_ros.recording.reader import BLOCK_SAMPLES
 from gear_dynamics_ros.simulation.run import Run
 from support.chunks import ROWS, record_odd
@@ -48,7 +48,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     def act(run: Run, chunk: int) -> Commands | None:
         if chunk == 2:
-            run.change(updated(run.engine.parameters, {"oil.viscosity": 0.03}))
+            run.change(change_values(run.engine.parameters, {"oil.viscosity": 0.03}))
         if chunk == 3:
             run.reset("to begin, again")
         return {1: Commands(30.0, 55.0, 1700.0), 3: Commands(30.0, -20.0, 1500.0)}.get(chunk)
@@ -373,7 +373,7 @@ GROWTH = """
 import resource, sys
 from pathlib import Path
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.recording.export.write import export
+from gear_dynamics_ros.recording.export.write import export_table as export
 bag, folder, suffix = recording.open(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
 export(bag, folder / f"short.{suffix}", end=0.7)
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -24,9 +24,9 @@ from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages.cdr import message_class, serialize
 from gear_dynamics_ros.messages.decoder import MessageDecoder
 from gear_dynamics_ros.messages.encoder import Encoder, Record
-from gear_dynamics_ros.parameters import Parameters, updated
+from gear_dynamics_ros.parameters import Parameters, change_values
 from gear_dynamics_ros.recording.recorder import Recorder
-from gear_dynamics_ros.recording.sink import RecorderSink
+from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.topics import COMMAND_TOPICS, FLOAT64, TOPICS, is_rows
@@ -56,10 +56,10 @@ def perform(path: Path) -> _Kept:
     start = run.checkpoint()
     load = [("load_torque_command", serialize(FLOAT64, message_class(FLOAT64)(data=55.0)))]
     joint = [("joint_command", encoder.applied(Commands(31.0, 25.0, 1500.0), 0).data)]
-    run.emit([encoder.model_info(0, "{}")])
+    run.write_records([encoder.model_info(0, "{}")])
     run.step()
     run.step(engine.commands._replace(load_torque=55.0), load)
-    run.change(updated(engine.parameters, {"oil.viscosity": 0.03}))
+    run.change(change_values(engine.parameters, {"oil.viscosity": 0.03}))
     run.step(Commands(31.0, 25.0, 1500.0), joint)
     run.resume(start)
     run.step()
@@ -84,7 +84,7 @@ def samples(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Record]:
 
 def decode(topic: str, data: bytes) -> None:
     """Decode as every tool does; GearboxError is how each of them learns of a fault."""
-    decoder = MessageDecoder(CHANNEL_NAMES, "")
+    decoder = MessageDecoder(CHANNEL_NAMES, "", "bag")
     with suppress(GearboxError):
         decoder.message(topic, 0, data)
     read: dict[str, Callable[[int, bytes], object]] = {
@@ -143,7 +143,7 @@ def test_no_event_raises_anything_but_an_error_of_this_package(
 
 
 def test_a_message_as_it_was_recorded_is_read(samples: dict[str, Record]) -> None:
-    decoder = MessageDecoder(CHANNEL_NAMES, "")
+    decoder = MessageDecoder(CHANNEL_NAMES, "", "bag")
     assert decoder.applied(*samples["applied_command"][1:]).commands.speed == 1623.156
     assert decoder.event(*samples["event"][1:]).message == "done"
     assert decoder.changes("load_torque_command", 0, samples["load_torque_command"].data) == {
@@ -235,6 +235,8 @@ def test_spoilt_commands_in_force_are_told_in_one_line(
     path = alter(bag, tmp_path / "spoilt", message=COMMANDS[name]())
     export = ["export", "BAG", "--table", "commands", "--output", "OUT"]
     check_tools(path, tmp_path, capsys, "command/applied", *TOOLS, export)
+    assert analyze_main([str(path), "--output", str(tmp_path / "out")]) == 1
+    told(capsys, "analyze", "command/applied")
 
 
 @pytest.mark.parametrize("name", EVENTS)

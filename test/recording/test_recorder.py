@@ -43,7 +43,7 @@ def test_checkpoints_lie_an_interval_apart_and_hold_what_a_checkpoint_file_does(
     assert list(part.checkpoints) == [3 * CHUNK, 6 * CHUNK, 9 * CHUNK]
     file = tmp_path / "file.json"
     file.write_bytes(part.attachment(part.checkpoints[6 * CHUNK]))
-    saved = checkpoint.load(file)
+    saved = checkpoint.load_checkpoint(file)
     engine = Engine(saved.checkpoint.parameters)
     engine.restore(saved.checkpoint)
     samples = recording.open(tmp_path / "bag").waveform()
@@ -331,19 +331,19 @@ def session(tmp_path: Path) -> Iterator[Session]:
 
 
 def test_a_recording_that_stopped_makes_way_for_another(session: Session, tmp_path: Path) -> None:
-    session.start_recording()
+    session.start_recording().result()
     shutil.rmtree(tmp_path / "bag")
     stopped = session.recordings.current
     assert stopped is not None
     until(lambda: stopped.error, "the recorder notices")
     with pytest.raises(GearboxError, match="has gone"):
-        session.split()
+        session.split().result()
     (tmp_path / "bag").mkdir()
-    assert session.start_recording() == f"recording to {tmp_path / 'bag_2'}"
+    assert session.start_recording().result() == f"recording to {tmp_path / 'bag_2'}"
     assert session.recordings.errors == (stopped.error,)
-    assert session.split() == "split"
+    assert session.split().result() == "split"
     with pytest.raises(GearboxError, match="already recording to"):
-        session.start_recording()
+        session.start_recording().result()
     assert session.end_recording().result() == f"recorded {tmp_path / 'bag_2'}"
     assert session.recordings.errors == (stopped.error,)
 
@@ -363,9 +363,9 @@ def test_a_recording_begun_after_a_fault_goes_on_through_the_reset(tmp_path: Pat
     session.begin_recording(beside=False)
     session.start()
     assert ended.wait(60.0)
-    assert session.start_recording() == f"recording to {tmp_path / 'bag_2'}"
+    assert session.start_recording().result() == f"recording to {tmp_path / 'bag_2'}"
     ended.clear()
-    assert session.reset() == "back at the start state"
+    assert session.reset().result() == "back at the start state"
     assert ended.wait(60.0)
     session.finish("over")
     assert session.recordings.errors == ()
@@ -380,4 +380,4 @@ def test_a_name_that_another_thread_takes_meanwhile_is_left_to_it(
     monkeypatch.setattr(recording_control, "_free", lambda _: next(names))
     (tmp_path / "bag").mkdir()
     assert session.snapshot().result() == f"recorded {tmp_path / 'bag_2'}"
-    assert session.start_recording() == f"recording to {tmp_path / 'bag_3'}"
+    assert session.start_recording().result() == f"recording to {tmp_path / 'bag_3'}"

@@ -13,7 +13,7 @@ from std_msgs.msg import Float64
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.messages.decoder import applied_commands
-from gear_dynamics_ros.parameters import Parameters, updated
+from gear_dynamics_ros.parameters import Parameters, change_values, updated
 from support.gearbox import PATIENCE, Client, start_gearbox
 from support.processes import Process, StartProcess
 from support.recordings import record
@@ -163,13 +163,15 @@ def test_resets_changes_and_parts_come_out_the_same(
 ) -> None:
     def act(run: Any, chunk: int) -> Commands | None:
         if chunk == 5:
-            run.change(updated(run.engine.parameters, {"oil.viscosity": 0.05, "operation.load_torque": 20.0}))
+            run.change(
+                change_values(run.engine.parameters, {"oil.viscosity": 0.05, "operation.load_torque": 20.0})
+            )
         if chunk == 10:
             run.reset()
         if chunk in (15, 25):
             return run.engine.commands._replace(drive_torque=20.0 + chunk)
         if chunk == 30:
-            run.change(updated(run.engine.parameters, {"oil.viscosity": 2.28e-2, "stepping.chunks": 9}))
+            run.change(change_values(run.engine.parameters, {"oil.viscosity": 2.28e-2, "stepping.chunks": 9}))
         return None
 
     whole = record(tmp_path / "whole", PARAMETERS, 40, act)
@@ -197,7 +199,7 @@ def test_it_follows_at_the_gearbox_own_pace(
         if chunk in (30, 60):
             return run.engine.commands._replace(load_torque=float(chunk), drive_torque=25.0)
         if chunk == 80:
-            run.change(updated(run.engine.parameters, {"oil.viscosity": 0.05}))
+            run.change(change_values(run.engine.parameters, {"oil.viscosity": 0.05}))
         return None
 
     bag = record(tmp_path / "bag", PARAMETERS, 100, act)

@@ -22,10 +22,10 @@ from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.encoder import Encoder
-from gear_dynamics_ros.parameters import Parameters, updated
+from gear_dynamics_ros.parameters import Parameters, change_values
 from gear_dynamics_ros.recording.recorder import Recorder
+from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.recording.ring import Ring
-from gear_dynamics_ros.recording.sink import RecorderSink
 from gear_dynamics_ros.replay.verify import origins, verify_recording
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
@@ -107,7 +107,7 @@ def test_what_a_ring_holds_comes_out_again(deeds: list[Any], held: float) -> Non
     saved = run.checkpoint()
     for deed in deeds:
         if isinstance(deed, dict):
-            run.change(updated(engine.parameters, deed))
+            run.change(change_values(engine.parameters, deed))
         elif deed == "reset":
             run.reset()
         elif deed == "save":

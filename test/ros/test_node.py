@@ -372,7 +372,7 @@ def test_a_checkpoint_is_saved_and_restored_with_its_parameters_and_commands(
     saved = client.trigger("save_checkpoint")
     file = shared.bag.with_name("bag.json")
     assert saved.success and str(file) in saved.message
-    taken = checkpoint.load(file).checkpoint
+    taken = checkpoint.load_checkpoint(file).checkpoint
     assert float(saved.message.split()[-2]) == pytest.approx(taken.sample * 1e-5)
     client.until(lambda: client.sample() >= taken.sample)
     other = {"oil.viscosity": 0.001, "mesh.error_cos": [1e-6], "operation.load_torque": 33.0}

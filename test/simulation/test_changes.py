@@ -14,7 +14,7 @@ from gear_dynamics_ros.analysis import ledger
 from gear_dynamics_ros.channels import CHANNEL_NAMES, COLUMN
 from gear_dynamics_ros.chunk import Chunk, Commands
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.parameters import Parameters, updated
+from gear_dynamics_ros.parameters import Parameters, change_to, change_values
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
 from support.parameters import parameters
@@ -43,7 +43,7 @@ MODELS = ("traditional", "compared", "improved")
 
 
 def change(engine: Engine, values: dict[str, Any]) -> None:
-    engine.change(updated(engine.parameters, values))
+    engine.change(change_values(engine.parameters, values))
 
 
 def state(engine: Engine) -> dict[str, Any]:
@@ -80,7 +80,7 @@ def test_chunk_length_changes_no_bit_between_changes(
 def test_nothing_changed_changes_no_bit() -> None:
     engine, left_alone = Engine(Parameters()), Engine(Parameters())
     for _ in range(20):
-        engine.change(engine.parameters)
+        engine.change(change_to(engine.parameters, Parameters()))
         assert engine.advance(37).samples.tobytes() == left_alone.advance(37).samples.tobytes()
     assert engine.checkpoint() == left_alone.checkpoint()
 

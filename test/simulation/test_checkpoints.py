@@ -17,7 +17,7 @@ from gear_dynamics_ros import __version__, recording
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.cli.simulate import simulate_main as simulate
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.parameters import Parameters, Specification, specifications, updated
+from gear_dynamics_ros.parameters import Parameters, Specification, change_values, specifications, updated
 from gear_dynamics_ros.physics.constants import excitation_table, kernel_constants
 from gear_dynamics_ros.replay.verify import verify_recording
 from gear_dynamics_ros.simulation import checkpoint
@@ -32,11 +32,11 @@ def file(tmp_path: Path) -> Path:
     """Checkpoint after 2.5 ms with a parameter and a command of its own."""
     engine = Engine(Parameters.from_flat({"model": "compared", **LIGHT}))
     engine.advance(100)
-    engine.change(updated(engine.parameters, {"mesh.stiffness": 2e8}))
+    engine.change(change_values(engine.parameters, {"mesh.stiffness": 2e8}))
     engine.command(Commands(3.0, 4.0, 1500.0))
     engine.advance(150)
     path = tmp_path / "state.json"
-    checkpoint.save(path, engine.checkpoint())
+    checkpoint.save_checkpoint(path, engine.checkpoint())
     return path
 
 
@@ -47,11 +47,11 @@ def test_a_fresh_engine_goes_on_bit_for_bit(
 ) -> None:
     engine = Engine(Parameters.from_flat({"model": model, **LIGHT}))
     engine.advance(sample)
-    engine.change(updated(engine.parameters, {"mesh.stiffness": stiffness}))
-    checkpoint.save(tmp_path / "state.json", engine.checkpoint())
+    engine.change(change_values(engine.parameters, {"mesh.stiffness": stiffness}))
+    checkpoint.save_checkpoint(tmp_path / "state.json", engine.checkpoint())
     expected = engine.advance(500)
 
-    saved = checkpoint.load(tmp_path / "state.json")
+    saved = checkpoint.load_checkpoint(tmp_path / "state.json")
     assert saved.checkpoint.parameters == engine.parameters
     assert (saved.provenance.version, saved.provenance.model_hash) == (__version__, model_hash())
     fresh = Engine(saved.checkpoint.parameters)
@@ -65,8 +65,8 @@ def test_a_fresh_engine_goes_on_bit_for_bit(
 def test_a_later_one_replaces_an_earlier_one_and_leaves_nothing_beside_it(file: Path) -> None:
     engine = Engine(Parameters())
     engine.advance(7)
-    checkpoint.save(file, engine.checkpoint())
-    assert checkpoint.load(file).checkpoint.sample == 7
+    checkpoint.save_checkpoint(file, engine.checkpoint())
+    assert checkpoint.load_checkpoint(file).checkpoint.sample == 7
     assert list(file.parent.iterdir()) == [file]
 
 
@@ -74,7 +74,7 @@ def test_a_place_that_cannot_be_written_is_named_and_kept_as_it_is(tmp_path: Pat
     engine = Engine(Parameters())
     for path in (tmp_path / "missing" / "state.json", tmp_path, Path()):
         with pytest.raises(GearboxError, match=r"can't be written: .*choose another path"):
-            checkpoint.save(path, engine.checkpoint())
+            checkpoint.save_checkpoint(path, engine.checkpoint())
     assert list(tmp_path.iterdir()) == []
 
 
@@ -84,7 +84,7 @@ def test_a_disk_that_fills_up_leaves_the_earlier_one(file: Path) -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
     try:
         with pytest.raises(GearboxError, match="can't be written: File too large"):
-            checkpoint.save(file, engine.checkpoint())
+            checkpoint.save_checkpoint(file, engine.checkpoint())
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert file.read_bytes() == before
@@ -96,7 +96,7 @@ def test_an_ended_run_is_not_saved() -> None:
     while not engine.status:
         engine.advance()
     with pytest.raises(GearboxError, match="the run has ended"):
-        checkpoint.save(Path("none"), engine.checkpoint())
+        checkpoint.save_checkpoint(Path("none"), engine.checkpoint())
 
 
 @pytest.mark.parametrize(
@@ -114,14 +114,14 @@ def test_what_is_no_checkpoint_is_refused_in_one_line(tmp_path: Path, content: b
     path = tmp_path / "state.json"
     path.write_bytes(content)
     with pytest.raises(UsageError, match=r"state\.json") as caught:
-        checkpoint.load(path)
+        checkpoint.load_checkpoint(path)
     assert "\n" not in str(caught.value)
     with pytest.raises(UsageError, match="there is no checkpoint"):
-        checkpoint.load(tmp_path / "other.json")
+        checkpoint.load_checkpoint(tmp_path / "other.json")
 
 
 def test_another_model_or_another_gearbox_is_refused(file: Path) -> None:
-    saved = checkpoint.load(file)
+    saved = checkpoint.load_checkpoint(file)
     checkpoint.require_fitting(saved, saved.checkpoint.parameters)
     with pytest.raises(UsageError, match=r"model 000000000000 \(version 0\.1\)"):
         other = saved.provenance._replace(model_hash="0" * 64, version="0.1")
@@ -139,7 +139,7 @@ def test_what_does_not_decide_the_physics_stays_with_who_goes_on(file: Path) -> 
         "waveform_channels": ("time", "dte"),
     }
     running = Parameters.from_flat({"model": "compared", "oil.viscosity": 1.0, **mine})
-    taken = checkpoint.continued(checkpoint.load(file), running).to_flat()
+    taken = checkpoint.continued(checkpoint.load_checkpoint(file), running).to_flat()
     assert {name: taken[name] for name in mine} == mine
     assert (taken["mesh.stiffness"], taken["oil.viscosity"]) == (2e8, 0.0228)
     assert taken["operation.load_torque"] == 3.0
@@ -174,10 +174,10 @@ def test_whatever_the_kernel_is_told_decides_the_physics() -> None:
 
 
 def test_simulate_goes_on_from_one(file: Path, tmp_path: Path) -> None:
-    saved = checkpoint.load(file)
+    saved = checkpoint.load_checkpoint(file)
     engine = Engine(saved.checkpoint.parameters)
     engine.resume(saved.checkpoint)
-    engine.change(updated(saved.checkpoint.parameters, {"operation.load_torque": 9.0}))
+    engine.change(change_values(saved.checkpoint.parameters, {"operation.load_torque": 9.0}))
     words = ["--from-checkpoint", str(file), "--duration", "0.005", "--output", str(tmp_path / "bag")]
     assert simulate([*words, "--set", "operation.load_torque=9"]) == 0
     read = recording.open(tmp_path / "bag")

@@ -16,7 +16,7 @@ import gear_dynamics_ros
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.realtime.model_info import describe
+from gear_dynamics_ros.realtime.model_info import describe_model
 from gear_dynamics_ros.replay.verify import origins as recording_origins
 from gear_dynamics_ros.simulation import engine
 from gear_dynamics_ros.simulation.provenance import current_provenance
@@ -92,7 +92,7 @@ def test_the_libraries_are_those_that_compute() -> None:
 
 
 def test_the_model_info_holds_both_hashes() -> None:
-    told = json.loads(describe(Parameters(), 0, "/gearbox"))
+    told = json.loads(describe_model(Parameters(), 0, "/gearbox"))
     present = current_provenance()
     assert (told["kernel_hash"], told["model_hash"]) == (present.kernel_hash, present.model_hash)
 

@@ -12,11 +12,12 @@ from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.cdr import deserialize
 from gear_dynamics_ros.messages.decoder import applied_commands, waveform_samples
 from gear_dynamics_ros.messages.encoder import Encoder
-from gear_dynamics_ros.parameters import Parameters, updated
+from gear_dynamics_ros.parameters import Parameters, change_to, change_values
 from gear_dynamics_ros.physics.advice import parameter_warnings
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
+from gear_dynamics_ros.simulation.run_state import Ending, RunState
 from gear_dynamics_ros.topics import TOPICS
 from support.sinks import Keeper
 
@@ -99,11 +100,13 @@ def test_reset_goes_back_to_the_start_while_time_goes_on():
 def test_changed_parameters_are_told_once_and_become_commands():
     run, keeper = start()
     run.step()
-    run.change(run.engine.parameters)
-    run.change(updated(run.engine.parameters, {"operation.load_torque": 12.0, "mesh.stiffness_cos": [0.1]}))
+    run.change(change_to(run.engine.parameters, run.engine.parameters))
+    run.change(
+        change_values(run.engine.parameters, {"operation.load_torque": 12.0, "mesh.stiffness_cos": [0.1]})
+    )
     run.step()
     with pytest.raises(UsageError, match=r"gears\.module"):
-        run.change(updated(run.engine.parameters, {"gears.module": 0.004}))
+        run.change(change_values(run.engine.parameters, {"gears.module": 0.004}))
     run.reset()
     assert keeper.events == [(0, "start"), (CHUNK, "parameters"), (2 * CHUNK, "reset")]
     (entry,) = [e for e in map(json.loads, (m.data for _, m in keeper.of("event"))) if "parameters" in e]
@@ -116,14 +119,14 @@ def test_a_restored_state_goes_on_after_the_end_and_is_told_whole():
     run, keeper = start(**{"operation.speed_limit": 1700.0, "operation.control": "torque"})
     run.step()
     checkpoint = run.checkpoint()
-    while not run.end:
+    while not run.state.ended:
         run.step(Commands(190.0, 30.0, 1600.0))
     ended = run.checkpoint()
     with pytest.raises(GearboxError, match="had ended: take an earlier one"):
         run.resume(ended)
-    assert run.checkpoint() == ended and run.end
+    assert run.checkpoint() == ended and run.state.ended
     run.resume(checkpoint, "as asked")
-    assert (run.end, run.tripped) == ("", False)
+    assert run.state == RunState()
     assert run.step().first_sample == ended.sample
     _, message = keeper.of("event")[-1]
     assert Checkpoint.from_tree(json.loads(message.data)["checkpoint"]) == checkpoint
@@ -134,16 +137,16 @@ def test_over_speed_ends_the_run_and_a_reset_recovers():
     run, keeper = start(
         **{"operation.speed_limit": 1624.0, "operation.control": "torque", "operation.load_torque": 0.0}
     )
-    while not run.end:
+    while not run.state.ended:
         run.step()
-    assert "operation.speed_limit" in run.end
-    assert run.tripped
+    assert "operation.speed_limit" in run.state.reason
+    assert run.state.ending is Ending.TRIPPED
     assert keeper.events[-1] == (run.engine.sample, "end")
     with pytest.raises(GearboxError, match="ended"):
         run.step()
     assert not keeper.closed
     run.reset()
-    assert run.end == ""
+    assert run.state == RunState()
     run.step()
     run.close()
     assert keeper.closed
@@ -152,9 +155,9 @@ def test_over_speed_ends_the_run_and_a_reset_recovers():
 @pytest.mark.parametrize(("duration", "samples"), [(0.005, 500), (0.004, 400), (0.0040001, 401)])
 def test_duration_ends_the_run_on_its_last_sample(duration, samples):
     run, keeper = start(**{"pacing.duration": duration})
-    while not run.end:
+    while not run.state.ended:
         run.step()
-    assert run.completed and not run.tripped
+    assert run.state == RunState(ending=Ending.COMPLETED, reason="pacing.duration reached")
     assert run.engine.sample == samples == sum(map(len, keeper.chunks))
     assert [event for _, event in keeper.events] == ["start", "end"]
 

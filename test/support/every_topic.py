@@ -15,9 +15,9 @@ from gear_dynamics_ros.chunk import Chunk, Commands
 from gear_dynamics_ros.events import PAUSE, RESUME
 from gear_dynamics_ros.messages.cdr import message_class, serialize, stamp
 from gear_dynamics_ros.messages.encoder import Encoder, Record
-from gear_dynamics_ros.parameters import Parameters, updated
+from gear_dynamics_ros.parameters import Parameters, change_values
 from gear_dynamics_ros.recording.recorder import Recorder
-from gear_dynamics_ros.recording.sink import RecorderSink
+from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.topics import TOPICS, resolve
@@ -94,16 +94,16 @@ def record_everything(path: Path) -> Made:
     recorder, kept = Recorder(path, engine.checkpoint(), EPOCH_NS), _Kept()
     sink = RecorderSink(recorder, engine)
     run = Run(engine, encoder, [sink, kept])
-    run.emit(extra_records(encoder))
+    run.write_records(extra_records(encoder))
     for number in range(CHUNKS):
         if number == 10:
             run.step(Commands(30.0, 55.0, 1700.0))
             continue
         if number == 20:
-            run.change(updated(parameters, {"oil.viscosity": 0.0229}))
+            run.change(change_values(parameters, {"oil.viscosity": 0.0229}))
         elif number == 30:
-            run.note(PAUSE)
-            run.note(RESUME)
+            run.write_event(PAUSE)
+            run.write_event(RESUME)
             kept.split(EPOCH_NS + engine.sample * parameters.solver.sample_interval_ns)
             sink.split()
         elif number == 40:

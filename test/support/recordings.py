@@ -11,9 +11,9 @@ from gear_dynamics_ros.channels import PACE
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.messages.cdr import message_class, serialize
 from gear_dynamics_ros.messages.encoder import Encoder
-from gear_dynamics_ros.parameters import Parameters, updated
+from gear_dynamics_ros.parameters import Parameters, change_to, change_values
 from gear_dynamics_ros.recording.recorder import Recorder
-from gear_dynamics_ros.recording.sink import RecorderSink
+from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.topics import FLOAT64, FLOAT_COMMANDS
@@ -72,7 +72,7 @@ def following(deeds: Sequence[Any]) -> Act:
     def act(run: Run, chunk: int) -> Commands | None:
         deed = deeds[chunk]
         if isinstance(deed, dict):
-            run.change(updated(run.engine.parameters, deed))
+            run.change(change_values(run.engine.parameters, deed))
         return deed if isinstance(deed, Commands) else None
 
     return act
@@ -101,19 +101,19 @@ def perform(path: Path, deeds: Sequence[Any], parameters: Parameters) -> Path:
         if isinstance(deed, Commands):
             commands = deed
         elif isinstance(deed, dict):
-            run.change(updated(engine.parameters, deed))
+            run.change(change_values(engine.parameters, deed))
         elif deed == "reset":
             run.reset()
         elif deed == "save":
             saved = (engine.parameters, run.checkpoint())
         elif deed == "restore":
-            run.change(saved[0])
+            run.change(change_to(engine.parameters, saved[0]))
             run.resume(saved[1], "as saved")
         elif deed == "split":
             made.sink.split()
         elif deed == "tell":
             now_ns = engine.sample * parameters.solver.sample_interval_ns
-            run.emit(
+            run.write_records(
                 [
                     made.encoder.model_info(now_ns, '{"told": 1}'),
                     made.encoder.pacing(now_ns, range(len(PACE))),

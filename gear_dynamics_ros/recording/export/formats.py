@@ -16,7 +16,7 @@ from gear_dynamics_ros.recording.export.tables import (
     INTEGER,
     NUMBER,
     TEXT,
-    Column,
+    TableColumn,
     row_type,
 )
 
@@ -40,7 +40,7 @@ class TableFile(Protocol):
 
 
 # From an open file, the columns, and what is to be told of the table's origin.
-Maker = Callable[[BinaryIO, Sequence[Column], Mapping[str, str]], TableFile]
+Maker = Callable[[BinaryIO, Sequence[TableColumn], Mapping[str, str]], TableFile]
 
 
 class CsvFile:
@@ -49,7 +49,7 @@ class CsvFile:
     NaN, whichever it was, is ``nan``.
     """
 
-    def __init__(self, stream: BinaryIO, columns: Sequence[Column], _: Mapping[str, str]) -> None:
+    def __init__(self, stream: BinaryIO, columns: Sequence[TableColumn], _: Mapping[str, str]) -> None:
         self._stream = stream
         self._lines([[column.name for column in columns]])
 
@@ -75,7 +75,7 @@ class NpyFile:
     Written piece by piece: a full disk is an error there, in a memory map it is the end of the process.
     """
 
-    def __init__(self, stream: BinaryIO, columns: Sequence[Column], _: Mapping[str, str]) -> None:
+    def __init__(self, stream: BinaryIO, columns: Sequence[TableColumn], _: Mapping[str, str]) -> None:
         texts = [column.name for column in columns if column.type == TEXT]
         if texts:
             raise UsageError(
@@ -110,7 +110,7 @@ class NpyFile:
 class ParquetFile:
     """Units and meanings with the columns, ``about`` with the schema; needs pyarrow, else UsageError."""
 
-    def __init__(self, stream: BinaryIO, columns: Sequence[Column], about: Mapping[str, str]) -> None:
+    def __init__(self, stream: BinaryIO, columns: Sequence[TableColumn], about: Mapping[str, str]) -> None:
         try:
             import pyarrow as pa
             from pyarrow import parquet

@@ -27,7 +27,7 @@ INTEGER: Final = "<i8"
 TEXT: Final = "O"
 
 
-class Column(NamedTuple):
+class TableColumn(NamedTuple):
     """One column: its name, unit and meaning, and the NumPy type of its entries."""
 
     name: str
@@ -36,18 +36,18 @@ class Column(NamedTuple):
     type: str  # NUMBER, INTEGER or TEXT
 
 
-class Block(NamedTuple):
+class RowBlock(NamedTuple):
     """Some rows, a structured array with a field for each column, and up to which sample that is all."""
 
     rows: NDArray[Any]
     beyond: int
 
 
-class Table(NamedTuple):
+class ExportTable(NamedTuple):
     """Columns, and the blocks of rows in their order, each made when it is asked for."""
 
-    columns: tuple[Column, ...]
-    blocks: Iterator[Block]
+    columns: tuple[TableColumn, ...]
+    blocks: Iterator[RowBlock]
 
     @property
     def dtype(self) -> np.dtype[np.void]:
@@ -55,14 +55,14 @@ class Table(NamedTuple):
         return row_type(self.columns)
 
 
-def row_type(columns: Sequence[Column]) -> np.dtype[np.void]:
+def row_type(columns: Sequence[TableColumn]) -> np.dtype[np.void]:
     """Structured NumPy type with a field for each column."""
     return np.dtype([(column.name, column.type) for column in columns])
 
 
-def waveform(
+def waveform_table(
     recording: Recording, start: float | None, end: float | None, channels: Sequence[str] | None
-) -> Table:
+) -> ExportTable:
     """Every sample at times in [start, end) s: its index and time first, then ``channels`` (default: all).
 
     Raises UsageError on a channel that is not there or is named twice, and on a window without samples;
@@ -79,66 +79,69 @@ def waveform(
     recording.columns(names)
     known = {channel.name: channel for channel in (*CHANNELS, *ENERGIES)}
     columns = (SAMPLE, *(_number(known[name]) for name in names))
-    return Table(columns, _waveform_blocks(recording, first, beyond, names, row_type(columns)))
+    return ExportTable(columns, _waveform_blocks(recording, first, beyond, names, row_type(columns)))
 
 
-def impacts(recording: Recording, start: float | None, end: float | None) -> Table:
+def impacts_table(recording: Recording, start: float | None, end: float | None) -> ExportTable:
     """Bearing contacts that ended at times in [start, end) s."""
     recording.require_window(start, end)
     columns = tuple(map(_number, IMPACTS))
     low, high = -math.inf if start is None else start, math.inf if end is None else end
-    return Table(columns, _impact_blocks(recording, low, high, row_type(columns)))
+    return ExportTable(columns, _impact_blocks(recording, low, high, row_type(columns)))
 
 
-def energy(recording: Recording, start: float | None, end: float | None) -> Table:
+def energy_table(recording: Recording, start: float | None, end: float | None) -> ExportTable:
     """Works, losses and stored energies at the end of each chunk; ``sample`` is the next to be made."""
     columns = (SAMPLE, TIME, *map(_number, ENERGIES))
-    return Table(columns, _energy_blocks(recording, _inside(recording, start, end), row_type(columns)))
+    return ExportTable(columns, _energy_blocks(recording, _inside(recording, start, end), row_type(columns)))
 
 
-def commands(recording: Recording, start: float | None, end: float | None) -> Table:
+def commands_table(recording: Recording, start: float | None, end: float | None) -> ExportTable:
     """Commands at times in [start, end) s, each in force from its sample on."""
     columns = (SAMPLE, TIME, *COMMANDS)
     inside = _inside(recording, start, end)
     rows = ((sample, _time(recording, sample), *values) for sample, values in recording.commands)
-    return Table(columns, _listed(recording, (row for row in rows if inside(row[0])), row_type(columns)))
+    return ExportTable(
+        columns, _listed(recording, (row for row in rows if inside(row[0])), row_type(columns))
+    )
 
 
-def events(recording: Recording, start: float | None, end: float | None) -> Table:
+def events_table(recording: Recording, start: float | None, end: float | None) -> ExportTable:
     """Events at times in [start, end) s; without the state that a restore brought."""
     inside = _inside(recording, start, end)
     found = [event for event in recording.events if inside(event.sample)]
     columns = (SAMPLE, TIME, *HAPPENING, *COUNTERS)
     rows = (_event_row(event) for event in found)
-    return Table(columns, _listed(recording, rows, row_type(columns)))
+    return ExportTable(columns, _listed(recording, rows, row_type(columns)))
 
 
-SAMPLE: Final = Column("sample", "", "index of the sample, counted from the start of the run", INTEGER)
-TIME: Final = Column("time", "s", "simulated time", NUMBER)
+SAMPLE: Final = TableColumn("sample", "", "index of the sample, counted from the start of the run", INTEGER)
+TIME: Final = TableColumn("time", "s", "simulated time", NUMBER)
 COMMANDS: Final = tuple(
-    Column(name, unit, "commanded", NUMBER)
+    TableColumn(name, unit, "commanded", NUMBER)
     for name, unit in zip(Commands._fields, ("N m", "N m", "rad/s"), strict=True)
 )
 HAPPENING: Final = (
-    Column("event", "", "what happened before the sample was made", TEXT),
-    Column("message", "", "why", TEXT),
-    Column("parameters", "", "JSON: parameters that changed, by dotted name", TEXT),
+    TableColumn("event", "", "what happened before the sample was made", TEXT),
+    TableColumn("message", "", "why", TEXT),
+    TableColumn("parameters", "", "JSON: parameters that changed, by dotted name", TEXT),
 )
 COUNTERS: Final = tuple(
-    Column(f"counted_{name}", "", f"{name} since the start of the run", INTEGER) for name in Counters._fields
+    TableColumn(f"counted_{name}", "", f"{name} since the start of the run", INTEGER)
+    for name in Counters._fields
 )
-OTHERS: Final[Mapping[str, Callable[[Recording, float | None, float | None], Table]]] = {
-    "impacts": impacts,
-    "commands": commands,
-    "events": events,
-    "energy": energy,
+OTHERS: Final[Mapping[str, Callable[[Recording, float | None, float | None], ExportTable]]] = {
+    "impacts": impacts_table,
+    "commands": commands_table,
+    "events": events_table,
+    "energy": energy_table,
 }
 WAVEFORM: Final = "waveform"
 NAMES: Final = (WAVEFORM, *OTHERS)
 
 
-def _number(channel: Channel) -> Column:
-    return Column(*channel, NUMBER)
+def _number(channel: Channel) -> TableColumn:
+    return TableColumn(*channel, NUMBER)
 
 
 def _time(recording: Recording, sample: int) -> float:
@@ -155,29 +158,29 @@ def _inside(recording: Recording, start: float | None, end: float | None) -> Cal
 
 def _waveform_blocks(
     recording: Recording, first: int, beyond: int, names: Sequence[str], dtype: np.dtype[np.void]
-) -> Iterator[Block]:
+) -> Iterator[RowBlock]:
     for samples in recording.pieces(first, beyond, names):
         end = samples.first + len(samples)
-        yield Block(_rows(np.arange(samples.first, end), samples.values, dtype), end)
+        yield RowBlock(_rows(np.arange(samples.first, end), samples.values, dtype), end)
 
 
 def _impact_blocks(
     recording: Recording, low: float, high: float, dtype: np.dtype[np.void]
-) -> Iterator[Block]:
+) -> Iterator[RowBlock]:
     for time_ns, values in recording.rows("impacts"):
         ends = values[:, 1]
         kept = np.ascontiguousarray(values[(ends >= low) & (ends < high)])
-        yield Block(kept.view(dtype)[:, 0], recording.sample_of(time_ns) + 1)
+        yield RowBlock(kept.view(dtype)[:, 0], recording.sample_of(time_ns) + 1)
 
 
 def _energy_blocks(
     recording: Recording, inside: Callable[[int], bool], dtype: np.dtype[np.void]
-) -> Iterator[Block]:
+) -> Iterator[RowBlock]:
     for time_ns, values in recording.rows("energy"):
         sample = recording.sample_of(time_ns) + 1
         if inside(sample):
             timed = np.column_stack([[_time(recording, sample)], values])
-            yield Block(_rows(np.array([sample]), timed, dtype), sample)
+            yield RowBlock(_rows(np.array([sample]), timed, dtype), sample)
 
 
 def _rows(
@@ -192,14 +195,14 @@ def _rows(
 
 def _listed(
     recording: Recording, rows: Iterable[tuple[Any, ...]], dtype: np.dtype[np.void]
-) -> Iterator[Block]:
+) -> Iterator[RowBlock]:
     waiting: list[tuple[Any, ...]] = []
     for row in rows:
         waiting.append(row)
         if len(waiting) == BLOCK_SAMPLES:
-            yield Block(np.array(waiting, dtype=dtype), row[0])
+            yield RowBlock(np.array(waiting, dtype=dtype), row[0])
             waiting = []
-    yield Block(np.array(waiting, dtype=dtype), recording.end_sample)
+    yield RowBlock(np.array(waiting, dtype=dtype), recording.end_sample)
 
 
 def _event_row(event: OperatorEvent) -> tuple[Any, ...]:

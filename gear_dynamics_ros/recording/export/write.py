@@ -9,7 +9,7 @@ from typing import BinaryIO, NamedTuple
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.recording.export import tables
 from gear_dynamics_ros.recording.export.formats import FORMATS, Maker
-from gear_dynamics_ros.recording.export.tables import Table
+from gear_dynamics_ros.recording.export.tables import ExportTable
 from gear_dynamics_ros.recording.reader import Recording
 from gear_dynamics_ros.system.files import new_file
 
@@ -22,7 +22,7 @@ class Exported(NamedTuple):
     size: int  # bytes
 
 
-def export(
+def export_table(
     recording: Recording,
     path: Path,
     table: str = "waveform",
@@ -63,9 +63,9 @@ def _select(
     channels: Sequence[str] | None,
     start: float | None,
     end: float | None,
-) -> Table:
+) -> ExportTable:
     if table == tables.WAVEFORM:
-        return tables.waveform(recording, start, end, channels)
+        return tables.waveform_table(recording, start, end, channels)
     if channels is not None:
         raise UsageError(
             f"channels are columns of the table {tables.WAVEFORM}, not of {table}: leave them out"
@@ -90,7 +90,7 @@ def _about(recording: Recording, table: str) -> dict[str, str]:
 
 def _write(
     stream: BinaryIO,
-    table: Table,
+    table: ExportTable,
     make: Maker,
     about: Mapping[str, str],
     progress: Callable[[int], None] | None,

@@ -1,0 +1,58 @@
+"""Command messages from their topics to the mailbox of the engine."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from rclpy.node import Node
+
+from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.messages.decoder import changes_meant
+from gear_dynamics_ros.realtime.mailbox import Mailbox
+from gear_dynamics_ros.ros import node_topics
+
+WARNING_INTERVAL = 5.0  # s
+MOST_NAMES = 100  # of joints and topics that were warned of
+
+
+class CommandReceiver:
+    """Decodes commands, hands them over, and warns of what is wrong with them."""
+
+    def __init__(self, node: Node, mailbox: Mailbox, joint_prefix: str) -> None:
+        self._node = node
+        self._log: Any = node.get_logger()
+        self._mailbox = mailbox
+        self._joint_prefix = joint_prefix
+        self._warned: set[str] = set()
+
+    def receive(self, key: str, data: bytes) -> None:
+        """Take the message ``data``, in CDR, of the command ``key`` in TOPICS."""
+        try:
+            message = node_topics.read_command(key, data)
+        except GearboxError as error:
+            self._mailbox.refuse(str(error))
+            self._log.warning(str(error), throttle_duration_sec=WARNING_INTERVAL)
+            return
+        changes, unknown_joints = changes_meant(key, message, self._joint_prefix)
+        for name in unknown_joints:
+            self._warn_once(name, f"~/command/joint: joint '{name}' takes no commands (said once)")
+        refusal = self._mailbox.offer(key, changes, data, time.monotonic_ns())
+        if refusal:
+            self._log.warning(refusal, throttle_duration_sec=WARNING_INTERVAL)
+
+    def topics_with_several_publishers(self) -> list[str]:
+        """Full names of the command topics on which several publish."""
+        names = node_topics.command_names(self._node)
+        topics = [name for name in names if self._node.count_publishers(name) > 1]
+        for name in topics:
+            self._warn_once(
+                name,
+                f"{name} has several publishers: the last message before a chunk edge counts (said once)",
+            )
+        return topics
+
+    def _warn_once(self, name: str, warning: str) -> None:
+        if name not in self._warned and len(self._warned) < MOST_NAMES:
+            self._warned.add(name)
+            self._log.warning(warning)

@@ -1,0 +1,217 @@
+"""Answers of services that are sent when the work is done, while the executor serves everything else."""
+
+from __future__ import annotations
+
+import contextlib
+import inspect
+import queue
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any, TypeVar
+
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.exceptions import InvalidHandle
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.service import Service
+
+from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.system.threads import name_thread
+
+T = TypeVar("T")
+# Calls and answers that may wait at once, as for the parameter services of rclpy. Its default of 10 drops the
+# calls that come faster than they are taken, and their clients wait for ever.
+SERVICE_QUALITY = QoSProfile(depth=1000)
+# s between two answers to calls that came together. The queue of answers in a client holds 10 by default, and
+# gets the answers to all clients of the service: those that come faster than they are taken are lost.
+SPACING = 0.005
+EXPECTED = ["self", "response", "header"]
+NOT_DEFERRED = "internal error: rclpy sent this answer before the work was done; see the log for the result"
+
+
+class AnswerSender:
+    """Sends the answers of all services, one after another, on a thread of its own.
+
+    Whoever calls again after each answer is answered at once; only calls that came together wait.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: queue.SimpleQueue[tuple[int, Callable[[], None]] | None] = queue.SimpleQueue()
+        self._sent_ns = 0
+        self._thread = threading.Thread(target=self._work, name="answers", daemon=True)
+        self._thread.start()
+
+    def put(self, header: Any, send: Callable[[], None]) -> None:
+        """Call ``send`` for the request with ``header``, after those before it; from any thread."""
+        self._waiting.put((header.received_timestamp, send))
+
+    def close(self) -> None:
+        """Send what waits, and end."""
+        self._waiting.put(None)
+        self._thread.join()
+
+    def _work(self) -> None:
+        name_thread()
+        while waiting := self._waiting.get():
+            received_ns, send = waiting
+            if received_ns < self._sent_ns:
+                time.sleep(max(0.0, SPACING - (time.time_ns() - self._sent_ns) * 1e-9))
+            self._sent_ns = time.time_ns()
+            with contextlib.suppress(InvalidHandle):  # the service has gone, and with it whoever waited
+                send()
+
+
+class DeferredAnswers:
+    """Sends the answers of one service later than its callback returns.
+
+    rclpy sends what a callback returns at once, and its executor driven by events knows no coroutines. Both
+    of its executors call ``Service.send_response`` with what the callback returned: that method is replaced,
+    for this one object. Raises GearboxError if this rclpy has another one than Jazzy's.
+    """
+
+    def __init__(self, service: Service, sender: AnswerSender) -> None:
+        require_send_response()
+        self._sender = sender
+        self._send = service.send_response
+        self._deferred: dict[int, tuple[Future[Any], Callable[[], None]]] = {}
+        service.send_response = self._send_when_done  # type: ignore[method-assign]
+
+    def defer(self, response: Any, work: Future[Any], complete: Callable[[], None]) -> None:
+        """Once the callback has returned ``response``, send it when ``work`` is done.
+
+        ``complete`` is called before, on the thread of the sender, to fill in the result.
+        """
+        self._deferred[id(response)] = work, complete
+
+    def _send_when_done(self, response: Any, header: Any) -> None:
+        found = self._deferred.pop(id(response), None)
+        if found is None:
+            self._sender.put(header, lambda: self._send(response, header))
+            return
+        work, complete = found
+
+        def send() -> None:
+            complete()
+            self._send(response, header)
+
+        work.add_done_callback(lambda _: self._sender.put(header, send))
+
+
+def require_send_response() -> None:
+    """Raise GearboxError unless rclpy sends answers by the method that ``DeferredAnswers`` replaces."""
+    method = getattr(Service, "send_response", None)
+    found = None if method is None else list(inspect.signature(method).parameters)
+    if found != EXPECTED:
+        raise GearboxError(
+            f"rclpy: Service.send_response has the parameters {found}, expected {EXPECTED}: use the rclpy of "
+            "ROS 2 Jazzy"
+        )
+
+
+def answer_when_done(
+    node: Node, sender: AnswerSender, kind: Any, name: str, start: Callable[[Any], Future[str]]
+) -> None:
+    """Create the service ``name`` of type ``kind``, one with ``success`` and ``message`` in its answer.
+
+    ``start`` gets the request and starts the work; the answer tells its result in words. Whatever is raised
+    by either is answered with ``success: false`` and the error.
+    """
+
+    def callback(request: Any, response: Any) -> Any:
+        try:
+            work = start(request)
+        except Exception as error:
+            response.message = _words(node, error)
+            return response
+        response.message = NOT_DEFERRED
+        answers.defer(response, work, lambda: _fill(node, response, work))
+        return response
+
+    service = node.create_service(kind, name, callback, qos_profile=SERVICE_QUALITY)
+    answers = DeferredAnswers(service, sender)
+
+
+def defer_parameter_answers(
+    node: Node, sender: AnswerSender, work_begun: Callable[[], Future[Any] | None]
+) -> None:
+    """Let the services that set parameters of ``node`` answer when the change is in force.
+
+    ``work_begun`` is called after each request for the work that it began, if any. If that fails, or rclpy
+    raises, the answer says that nothing was set, and why.
+    """
+    for service in list(node.services):
+        if service.srv_type in (SetParameters, SetParametersAtomically):
+            _defer_parameter_answers(node, sender, service, work_begun)
+
+
+def _defer_parameter_answers(
+    node: Node, sender: AnswerSender, service: Service, work_begun: Callable[[], Future[Any] | None]
+) -> None:
+    answers, set_parameters = DeferredAnswers(service, sender), service.callback
+
+    def refuse(request: Any, response: Any, error: BaseException) -> None:
+        result = SetParametersResult(successful=False, reason=_words(node, error))
+        if service.srv_type is SetParameters:
+            response.results = [result] * len(request.parameters)
+        else:
+            response.result = result
+
+    def callback(request: Any, response: Any) -> Any:
+        try:
+            set_parameters(request, response)
+        except Exception as error:
+            refuse(request, response, error)
+        work = work_begun()
+        if work is not None:
+
+            def complete(error: Callable[[], BaseException | None] = work.exception) -> None:
+                failure = error()
+                if failure is not None:
+                    refuse(request, response, failure)
+
+            answers.defer(response, work, complete)
+        return response
+
+    service.callback = callback
+
+
+def on_executor(node: Node, first: Future[T], act: Callable[[], None]) -> Future[T]:
+    """Result of ``first``, once ``act`` has been called after it on the thread that spins ``node``."""
+    result: Future[T] = Future()
+
+    def proceed() -> None:
+        try:
+            act()
+            value = first.result()
+        except Exception as error:
+            result.set_exception(error)
+        else:
+            result.set_result(value)
+
+    def schedule(_: Future[T]) -> None:
+        if node.executor is not None:
+            node.executor.create_task(proceed)
+
+    first.add_done_callback(schedule)
+    return result
+
+
+def _fill(node: Node, response: Any, work: Future[str]) -> None:
+    try:
+        response.message = work.result()
+        response.success = True
+    except Exception as error:
+        response.message = _words(node, error)
+        response.success = False
+
+
+def _words(node: Node, error: BaseException) -> str:
+    if isinstance(error, GearboxError | OSError):
+        return str(error)
+    log: Any = node.get_logger()
+    log.error("".join(traceback.format_exception(error)))
+    return f"internal error: {str(error) or repr(error)}: see the log of the gearbox"

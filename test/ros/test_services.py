@@ -1,0 +1,184 @@
+"""Services of the real node: every call is answered, however many come at once and whatever goes wrong."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+import rclpy
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from rclpy.service import Service
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+
+from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.ros.deferred_answers import require_send_response
+from gear_dynamics_ros.ros.profile_client import require_take_message
+
+PATIENCE = 120.0  # a first start compiles the kernel
+
+
+class Caller:
+    """Clients that call many at once."""
+
+    def __init__(self) -> None:
+        self._context = Context()
+        rclpy.init(context=self._context)
+        self._node = Node("caller", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+
+    def client(self, kind: Any, name: str, depth: int = 10) -> Any:
+        client = self._node.create_client(kind, f"/gearbox/{name}", qos_profile=QoSProfile(depth=depth))
+        assert client.wait_for_service(PATIENCE)
+        return client
+
+    def answers(self, futures: list[Any], patience: float = 60.0) -> list[Any]:
+        deadline = time.monotonic() + patience
+        while not all(future.done() for future in futures) and time.monotonic() < deadline:
+            self._executor.spin_once(timeout_sec=0.05)
+        done = [future.result() for future in futures if future.done()]
+        assert len(done) == len(futures), f"{len(done)} of {len(futures)} calls were answered"
+        return done
+
+    def call(self, kind: Any, name: str, request: Any = None) -> Any:
+        client = self.client(kind, name)
+        (answer,) = self.answers([client.call_async(request or kind.Request())])
+        self._node.destroy_client(client)
+        return answer
+
+    def close(self) -> None:
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+
+@pytest.fixture
+def caller(ros_domain: int) -> Iterator[Caller]:
+    caller = Caller()
+    yield caller
+    caller.close()
+
+
+@pytest.fixture
+def gearbox(ros_domain: int, process: Callable[..., Any], tmp_path: Any) -> Any:
+    options = ("pacing.real_time_factor:=0.1", f"checkpoint.path:={tmp_path / 'state.json'}")
+    arguments = [word for option in options for word in ("-p", option)]
+    return process(sys.executable, "-m", "gear_dynamics_ros.cli.gearbox", "--ros-args", *arguments)
+
+
+def pause(paused: bool) -> Any:
+    return SetBool.Request(data=paused)
+
+
+def test_a_hundred_calls_at_once_get_a_hundred_answers(gearbox: Any, caller: Caller) -> None:
+    client = caller.client(SetBool, "pause", depth=100)
+    answers = caller.answers([client.call_async(pause(number % 2 == 0)) for number in range(100)])
+    words = [answer.message.split(" at ")[0] for answer in answers]
+    assert all(answer.success for answer in answers) and words == ["paused", "running"] * 50
+    steps = caller.client(Trigger, "step", depth=100)
+    refusals = caller.answers([steps.call_async(Trigger.Request()) for _ in range(100)])
+    assert all("not paused" in answer.message and not answer.success for answer in refusals)
+
+
+def test_sixteen_clients_at_once_are_all_answered(gearbox: Any, caller: Caller) -> None:
+    clients = [caller.client(SetBool, "pause") for _ in range(16)]
+    for paused in (True, False):
+        answers = caller.answers([client.call_async(pause(paused)) for client in clients])
+        assert all(answer.success for answer in answers)
+        assert sum("already" in answer.message for answer in answers) == 15
+
+
+def test_a_call_that_takes_long_holds_up_no_other(gearbox: Any, caller: Caller) -> None:
+    assert caller.call(SetBool, "pause", pause(True)).success
+    chunks = [Parameter("stepping.chunks", value=1_000_000).to_parameter_msg()]
+    assert caller.call(SetParameters, "set_parameters", SetParameters.Request(parameters=chunks))
+    stepping = caller.client(Trigger, "step").call_async(Trigger.Request())
+    assert caller.call(Trigger, "save_checkpoint").success
+    assert "no ring" in caller.call(Trigger, "snapshot").message
+    viscosity = [Parameter("oil.viscosity", value=0.05).to_parameter_msg()]
+    request = SetParametersAtomically.Request(parameters=viscosity)
+    assert caller.call(SetParametersAtomically, "set_parameters_atomically", request).result.successful
+    assert not stepping.done()
+    assert caller.call(Trigger, "reset").success
+    (answer,) = caller.answers([stepping])
+    assert not answer.success and "aborted: the run was reset" in answer.message
+
+
+def test_changes_and_restores_at_once_leave_node_and_run_with_the_same_parameters(
+    gearbox: Any, caller: Caller
+) -> None:
+    assert caller.call(Trigger, "save_checkpoint").success
+    restore = caller.client(Trigger, "restore_checkpoint", depth=100)
+    change = caller.client(SetParametersAtomically, "set_parameters_atomically", depth=100)
+    futures = []
+    for number in range(30):
+        values = [Parameter("oil.viscosity", value=0.03 + number * 1e-3).to_parameter_msg()]
+        futures.append(change.call_async(SetParametersAtomically.Request(parameters=values)))
+        futures.append(restore.call_async(Trigger.Request()))
+    for answer in caller.answers(futures):
+        if isinstance(answer, Trigger.Response):
+            assert answer.success, answer.message
+        else:
+            assert answer.result.successful or "being restored" in answer.result.reason
+    assert caller.call(Trigger, "restore_checkpoint").success
+    found = caller.call(GetParameters, "get_parameters", GetParameters.Request(names=["oil.viscosity"]))
+    assert found.values[0].double_value == 0.0228
+    # A change validated against other parameters than those in force would be refused.
+    values = [Parameter("oil.viscosity", value=0.07).to_parameter_msg()]
+    request = SetParametersAtomically.Request(parameters=values)
+    assert caller.call(SetParametersAtomically, "set_parameters_atomically", request).result.successful
+
+
+def test_what_rclpy_cannot_set_is_answered_and_the_node_goes_on(gearbox: Any, caller: Caller) -> None:
+    broken = ParameterMessage(name="oil.viscosity")
+    broken.value.type = 99
+    answer = caller.call(SetParameters, "set_parameters", SetParameters.Request(parameters=[broken]))
+    assert not answer.results[0].successful and "internal error" in answer.results[0].reason
+    request = SetParametersAtomically.Request(parameters=[broken])
+    answer = caller.call(SetParametersAtomically, "set_parameters_atomically", request)
+    assert not answer.result.successful and "internal error" in answer.result.reason
+    assert caller.call(SetBool, "pause", pause(True)).success
+
+
+def test_a_checkpoint_file_that_is_none_is_answered(gearbox: Any, caller: Caller, tmp_path: Any) -> None:
+    (tmp_path / "state.json").write_text("[]")
+    answer = caller.call(Trigger, "restore_checkpoint")
+    assert not answer.success and "no checkpoint" in answer.message
+    (tmp_path / "state.json").unlink()
+    (tmp_path / "state.json").mkdir()
+    answer = caller.call(Trigger, "restore_checkpoint")
+    assert not answer.success and answer.message
+    assert caller.call(Trigger, "reset").success
+
+
+def test_another_rclpy_is_refused_with_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    require_send_response()
+    monkeypatch.setattr(Service, "send_response", lambda self, response: None)
+    with pytest.raises(GearboxError, match=r"Service\.send_response has the parameters .* ROS 2 Jazzy"):
+        require_send_response()
+    monkeypatch.delattr(Service, "send_response")
+    with pytest.raises(GearboxError, match="parameters None"):
+        require_send_response()
+
+
+def test_a_subscription_that_cannot_be_drained_is_refused_with_words(ros_domain: int) -> None:
+    context = Context()
+    rclpy.init(context=context)
+    node = Node("listener", context=context)
+    try:
+        subscription = node.create_subscription(String, "words", print, 10)
+        require_take_message(subscription)
+        with pytest.raises(GearboxError, match=r"no handle\.take_message.* ROS 2 Jazzy"):
+            require_take_message(node.create_publisher(String, "words", 10))
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
