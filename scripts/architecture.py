@@ -10,6 +10,8 @@ from functools import cache
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
@@ -19,7 +21,7 @@ CONTRACT: Final = "contract"  # the modules beside the folders
 PICTURE: Final = ROOT / "docs" / "architecture.svg"
 PAGE: Final = ROOT / "docs" / "architecture.md"
 BEGIN, END = "<!-- folders: written by scripts/architecture.py -->", "<!-- end of folders -->"
-WIDTH, HEIGHT = 2.5, 0.86  # of a box, inches
+WIDTH, HEIGHT = 2.5, 0.9  # of a box, inches
 GAP_X, GAP_Y = 0.34, 0.62
 
 
@@ -73,18 +75,21 @@ def lines() -> dict[str, int]:
 
 
 def floors(pairs: Mapping[tuple[str, str], int]) -> dict[str, int]:
-    """Height of each folder: one above the highest that it imports. Raises ValueError on a circle."""
-    uses: dict[str, set[str]] = {}
+    """Height of each folder, above all that it imports and right below the lowest that imports it.
+
+    Raises ValueError on a circle.
+    """
+    users: dict[str, set[str]] = {}
     for importer, imported in pairs:
-        uses.setdefault(importer, set()).add(imported)
-        uses.setdefault(imported, set())
-    found: dict[str, int] = {}
-    while len(found) < len(uses):
-        ready = {room for room in uses.keys() - found.keys() if uses[room] <= found.keys()}
+        users.setdefault(importer, set())
+        users.setdefault(imported, set()).add(importer)
+    depth: dict[str, int] = {}
+    while len(depth) < len(users):
+        ready = {room for room in users.keys() - depth.keys() if users[room] <= depth.keys()}
         if not ready:
-            raise ValueError(f"these import each other in a circle: {sorted(uses.keys() - found.keys())}")
-        found |= {room: 1 + max((found[below] for below in uses[room]), default=-1) for room in ready}
-    return found
+            raise ValueError(f"these import each other in a circle: {sorted(users.keys() - depth.keys())}")
+        depth |= {room: 1 + max((depth[above] for above in users[room]), default=-1) for room in ready}
+    return {room: max(depth.values()) - found for room, found in depth.items()}
 
 
 def direct(pairs: Mapping[tuple[str, str], int]) -> list[tuple[str, str]]:
@@ -109,68 +114,70 @@ def purpose(room: str) -> str:
     if room == CONTRACT:
         return "Names, units and shapes that all folders share."
     text = (ROOT / PACKAGE / room / "__init__.py").read_text(encoding="utf-8")
-    return (ast.get_docstring(ast.parse(text)) or "").split("\n")[0]
+    return (ast.get_docstring(ast.parse(text)) or "").split("\n")[0].replace("``", "")
+
+
+def places(pairs: Mapping[tuple[str, str], int]) -> dict[str, tuple[float, float]]:
+    """Lower left corner of each folder's box in inches: in rows, each near those that import it."""
+    height = floors(pairs)
+    rows: dict[int, list[str]] = {}
+    for room in sorted(height):
+        rows.setdefault(height[room], []).append(room)
+    width = max(map(len, rows.values())) * (WIDTH + GAP_X) + GAP_X
+    found: dict[str, tuple[float, float]] = {}
+    shown = direct(pairs)
+    for floor in sorted(rows, reverse=True):
+
+        def middle(room: str) -> float:
+            above = [found[importer][0] for importer, imported in shown if imported == room]
+            return sum(above) / len(above) if above else 0.0
+
+        rooms = sorted(rows[floor], key=middle)
+        begin = 0.5 * (width - len(rooms) * (WIDTH + GAP_X) + GAP_X)
+        for place, room in enumerate(rooms):
+            found[room] = begin + place * (WIDTH + GAP_X), GAP_Y + floor * (HEIGHT + GAP_Y)
+    return found
 
 
 def draw(pairs: Mapping[tuple[str, str], int]) -> Figure:
     """Folders as boxes, each above all that it imports; an arrow points to what is imported."""
-    height, sizes = floors(pairs), lines()
-    rows: dict[int, list[str]] = {}
-    for room in sorted(height):
-        rows.setdefault(height[room], []).append(room)
-    widest = max(map(len, rows.values()))
-    width = widest * (WIDTH + GAP_X) + GAP_X
-    total = len(rows) * (HEIGHT + GAP_Y) + GAP_Y
-    figure = Figure(figsize=(width, total))
+    corner, sizes = places(pairs), lines()
+    width = max(x for x, _ in corner.values()) + WIDTH + GAP_X
+    height = max(y for _, y in corner.values()) + HEIGHT + GAP_Y
+    figure = Figure(figsize=(width, height))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    axes.set(xlim=(0.0, width), ylim=(0.0, total))
+    axes.set(xlim=(0.0, width), ylim=(0.0, height))
     axes.axis("off")
-    centre: dict[str, tuple[float, float]] = {}
-    for floor, rooms in rows.items():
-        begin = 0.5 * (width - len(rooms) * (WIDTH + GAP_X) + GAP_X)
-        for place, room in enumerate(rooms):
-            x = begin + place * (WIDTH + GAP_X)
-            y = GAP_Y + floor * (HEIGHT + GAP_Y)
-            centre[room] = x + 0.5 * WIDTH, y
-            axes.add_patch(
-                FancyBboxPatch(
-                    (x, y),
-                    WIDTH,
-                    HEIGHT,
-                    boxstyle="round,pad=0,rounding_size=0.08",
-                    fc="#EAF2F8",
-                    ec="#0072B2",
-                )
-            )
-            axes.text(x + 0.12, y + HEIGHT - 0.27, room, fontsize=12, weight="bold", color="#1B2A34")
-            axes.text(
-                x + WIDTH - 0.12,
-                y + HEIGHT - 0.27,
-                f"{sizes[room]} lines",
-                fontsize=8.5,
-                ha="right",
-                color="#555555",
-            )
-            axes.text(
-                x + 0.12, y + 0.12, _wrapped(purpose(room)), fontsize=8.2, color="#333333", linespacing=1.25
-            )
+    for room, (x, y) in corner.items():
+        style = "round,pad=0,rounding_size=0.08"
+        axes.add_patch(FancyBboxPatch((x, y), WIDTH, HEIGHT, boxstyle=style, fc="#EAF2F8", ec="#0072B2"))
+        top = y + HEIGHT - 0.24
+        axes.text(x + 0.12, top, room, fontsize=12, weight="bold", color="#1B2A34")
+        axes.text(x + WIDTH - 0.12, top, f"{sizes[room]} lines", fontsize=8.5, ha="right", color="#555555")
+        axes.text(x + 0.12, top - 0.09, _wrapped(purpose(room)), fontsize=8, va="top", color="#333333")
     for importer, imported in direct(pairs):
-        (x0, y0), (x1, y1) = centre[importer], centre[imported]
-        lean = 0.16 * max(-1.0, min(1.0, (x1 - x0) / WIDTH)) * WIDTH
-        axes.add_patch(
-            FancyArrowPatch(
-                (x0 + lean, y0),
-                (x1 - lean, y1 + HEIGHT),
-                arrowstyle="-|>",
-                mutation_scale=11,
-                lw=1.1,
-                color="#7A4A1E",
-                shrinkA=0,
-                shrinkB=1,
-                zorder=0.5,
-            )
-        )
+        _draw_arrow(axes, corner[importer], corner[imported])
     return figure
+
+
+def _draw_arrow(axes: Axes, above: tuple[float, float], below: tuple[float, float]) -> None:
+    """From the lower edge of the box at ``above`` to the upper edge of that at ``below``."""
+    lean = 0.16 * WIDTH * max(-1.0, min(1.0, (below[0] - above[0]) / WIDTH))
+    start = above[0] + 0.5 * WIDTH + lean, above[1]
+    end = below[0] + 0.5 * WIDTH - lean, below[1] + HEIGHT
+    axes.add_patch(
+        FancyArrowPatch(
+            start,
+            end,
+            arrowstyle="-|>",
+            mutation_scale=11,
+            lw=1.1,
+            color="#7A4A1E",
+            shrinkA=0,
+            shrinkB=1,
+            zorder=0.5,
+        )
+    )
 
 
 def table(pairs: Mapping[tuple[str, str], int]) -> str:
@@ -197,7 +204,9 @@ def main() -> int:
     """Write picture and table; returns the exit code."""
     pairs = edges()
     PAGE.write_text(page(PAGE.read_text(encoding="utf-8"), pairs), encoding="utf-8")
-    draw(pairs).savefig(PICTURE, metadata={"Date": None})
+    # Text as text, and no random names: a small file that changes only where the folders do.
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": PACKAGE}):
+        draw(pairs).savefig(PICTURE, metadata={"Date": None})
     print(f"{PICTURE.relative_to(ROOT)}, {PAGE.relative_to(ROOT)}")
     return 0
 
@@ -218,7 +227,7 @@ def _is_module(path: Path) -> bool:
     return path.with_suffix(".py").is_file() or (path / "__init__.py").is_file()
 
 
-def _wrapped(text: str, limit: int = 40) -> str:
+def _wrapped(text: str, limit: int = 39) -> str:
     shown: list[str] = [""]
     for word in text.split():
         if len(shown[-1]) + len(word) >= limit:

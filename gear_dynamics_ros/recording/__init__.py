@@ -1,4 +1,4 @@
-"""Recordings: rosbag2 folders of MCAP files. Reading is here; ``recording.recorder`` has the Recorder."""
+"""Recordings: rosbag2 folders of MCAP files, written, read, recovered, exported."""
 
 from gear_dynamics_ros.events import OperatorEvent
 from gear_dynamics_ros.recording.reader import Recording, TopicCount, open
