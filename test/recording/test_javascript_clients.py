@@ -117,7 +117,8 @@ def test_attachments_and_metadata_are_there(made: Made, reports: list[dict[str, 
             "parameters.yaml": "application/yaml",
             **{f"{name}.json": "application/json" for name in ("start", *checkpoints[number], "end")},
         }
-        assert json.loads(report["attachments"]["start.json"]["text"])["sample"] == number * 6000
+        start = json.loads(report["attachments"]["start.json"]["text"])
+        assert start["checkpoint"]["sample"] == number * 6000
         viscosity = ("viscosity: 0.0228", "viscosity: 0.0229")[number]
         assert viscosity in report["attachments"]["parameters.yaml"]["text"]
         assert report["metadata"]["gear_dynamics_ros"]["version"] == __version__
