@@ -177,7 +177,8 @@ def syntax(*folders: str) -> Iterator[ast.AST]:
 
 def imports(*folders: str) -> set[str]:
     """Top-level names that the Python files below ``folders`` import from elsewhere."""
-    helpers = {path.stem for folder in ("test", "benchmarks") for path in (ROOT / folder).rglob("*")}
+    own = {path.stem for folder in ("scripts", "benchmarks") for path in (ROOT / folder).glob("*.py")}
+    own |= {PACKAGE, "support"}
     found: set[str] = set()
     for node in syntax(*folders):
         match node:
@@ -185,7 +186,7 @@ def imports(*folders: str) -> set[str]:
                 found |= {alias.name for alias in names}
             case ast.ImportFrom(module=str(module), level=0):
                 found.add(module)
-    return {name.partition(".")[0] for name in found} - sys.stdlib_module_names - helpers - {PACKAGE}
+    return {name.partition(".")[0] for name in found} - sys.stdlib_module_names - own
 
 
 @pytest.mark.parametrize(
