@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import time
 from pathlib import Path
 
 import pytest
@@ -14,6 +13,7 @@ from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.realtime.recording_control import RecordingControl
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
+from support.processes import until
 
 
 def controlled(**values: object) -> tuple[Run, RecordingControl]:
@@ -55,9 +55,7 @@ def test_each_error_stands_once_in_the_order_of_events(tmp_path: Path) -> None:
     first = control.current
     assert first is not None
     shutil.rmtree(tmp_path / "bags")
-    while not control.errors:
-        run.step()
-        time.sleep(0.01)
+    until(lambda: run.step() and control.errors, "an error of the recorder")
     with pytest.raises(GearboxError):
         control.write(control.cut())
     with pytest.raises(GearboxError):

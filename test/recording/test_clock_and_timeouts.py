@@ -18,27 +18,24 @@ from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.events import START, TIMEOUT
 from gear_dynamics_ros.messages.cdr import message_class, serialize
-from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters, change_values
 from gear_dynamics_ros.realtime.engine_thread import EngineThread
 from gear_dynamics_ros.realtime.mailbox import Mailbox
-from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.replay.verify import verify_recording
-from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.topics import FLOAT64
 from support.altering import alter, on_topic
+from support.processes import until
+from support.recordings import Recorded
 
 SHORT = {"solver.chunk": 3e-4, "operation.control": "torque"}
 RELEASE = {"operation.command_timeout": 0.05, "operation.on_timeout": "release"}
 
 
 def recorded(path: Path, **values: Any) -> tuple[Run, RecorderSink]:
-    parameters = Parameters.from_flat({**SHORT, **values})
-    engine = Engine(parameters)
-    sink = RecorderSink(Recorder(path, engine.checkpoint(), 0), engine)
-    return Run(engine, Encoder(parameters, 0), [sink]), sink
+    made = Recorded(path, Parameters.from_flat({**SHORT, **values}))
+    return made.run, made.sink
 
 
 @given(
@@ -169,8 +166,7 @@ def test_torques_are_released_once_and_return_with_a_command(tmp_path: Path) -> 
 def test_held_commands_are_told_and_stay(tmp_path: Path) -> None:
     live, _ = live_run(tmp_path / "bag", **{"operation.on_timeout": "hold"})
     offer(live, 21.0)
-    while not live.timed_out:
-        time.sleep(0.01)
+    until(lambda: live.timed_out, "a time-out")
     live.stop()
     live.run.close()
     bag = recording.open(tmp_path / "bag")
