@@ -253,7 +253,7 @@ def mode_frequencies(p: Parameters, state: NDArray[Any], fixed_centres: bool = F
         shift_centres(p, moved, shift[1], shift[2])
         point = look(p, moved)
         centres = point["ax"] * along[0] + point["ay"] * along[1]
-        return np.array([r1 * point["alpha"][0] - r2 * point["alpha"][1], *centres])
+        return np.array([r1 * point["omega_rate"][0] - r2 * point["omega_rate"][1], *centres])
 
     h = 1e-9
     columns = [(reduced(h * row) - reduced(-h * row)) / (2.0 * h) for row in np.eye(3)]
@@ -301,7 +301,7 @@ def static() -> Iterator[Measurement]:
         state["x"], state["y"] = start["x"] + metres[0:2], start["y"] + metres[2:4]
         state["u"] = start["u"] + metres[4]
         point = look(p, state)
-        torsion = point["alpha"][0] * p.gears.driving.inertia / 0.05
+        torsion = point["omega_rate"][0] * p.gears.driving.inertia / 0.05
         return np.array([*point["ax"], *point["ay"], torsion]) / 500.0
 
     solution = root(residual, np.array([0.0, 0.0, 0.0, 0.0, 1.0]), tol=1e-14)
