@@ -2,10 +2,10 @@
 
     python benchmarks/general_solvers.py [--plot docs/work_precision.png]
 
-The error is the largest deviation of DTE at 100 kHz samples from test/referee.py over the first millisecond.
-The engine's time includes its other channels, that of the others only DTE. Compilation is excluded. A time
-at the error aimed at lies between those of neighbouring settings, on a straight line in the logarithms;
-ratios are made repeat by repeat, and their median is quoted.
+The error is the largest deviation of DTE at 100 kHz samples from test/support/referee.py over the first
+millisecond. The engine's time includes its other channels, that of the others only DTE. Compilation is
+excluded. A time at the error aimed at lies between those of neighbouring settings, on a straight line in the
+logarithms; ratios are made repeat by repeat, and their median is quoted.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.palette import BLUE, DIM, GREEN, GREY, ORANGE, PURPLE, SKY
 from gear_dynamics_ros.parameters import Parameters, load_parameters
+from gear_dynamics_ros.simulation.checkpoint import Checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
 
 SOURCE = Path(__file__).resolve().parent.parent
@@ -94,7 +95,7 @@ def measure(path: Path, repeats: int) -> list[Result]:
 def referee_dte(path: Path) -> NDArray[np.float64]:
     """DTE in m by the independent program of the tests."""
     sys.path.append(str(SOURCE / "test"))
-    from referee import CHANNELS, Referee, load_case
+    from support.referee import CHANNELS, Referee, load_case
 
     rows: NDArray[np.float64] = Referee(load_case(path)).run(SAMPLES)
     return rows[:, CHANNELS.index("dte")]
@@ -106,7 +107,7 @@ def engine_runs(path: Path) -> dict[str, Run]:
     return {step: partial(rerun, engine, engine.checkpoint()) for step, engine in engines.items()}
 
 
-def rerun(engine: Engine, start: dict[str, Any]) -> NDArray[np.float64]:
+def rerun(engine: Engine, start: Checkpoint) -> NDArray[np.float64]:
     """DTE in m from ``start`` on."""
     engine.restore(start)
     return engine.advance(SAMPLES)["dte"]

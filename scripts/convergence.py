@@ -20,12 +20,11 @@ from numpy.typing import NDArray
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "test")]
 
-from measurements import PUBLISHED  # noqa: E402
-from referee import Referee, nested  # noqa: E402
-
 from gear_dynamics_ros import palette  # noqa: E402
 from gear_dynamics_ros.parameters import Parameters  # noqa: E402
 from gear_dynamics_ros.simulation.engine import Engine  # noqa: E402
+from support.measurements import PUBLISHED  # noqa: E402
+from support.referee import Referee, nested  # noqa: E402
 
 MODELS = ("traditional", "compared", "improved")
 SWITCHES: dict[str, dict[str, Any]] = {"refined": {}, "published": PUBLISHED}

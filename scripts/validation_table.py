@@ -11,7 +11,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "test")]
 
 def print_measurements() -> int:
     """The validation table; returns how many tolerances were missed."""
-    from measurements import GROUPS
+    from support.measurements import GROUPS
 
     print("| what | measured | reference | error | tolerance |")
     print("|---|---|---|---|---|")
@@ -29,11 +29,11 @@ def print_measurements() -> int:
 def print_agreement() -> None:
     """Engine against referee over the first millisecond."""
     import numpy as np
-    from referee import CHANNELS, Referee, nested
-    from test_against_referee import ROUGH, RUNS, SAMPLES, disagreement
 
     from gear_dynamics_ros.parameters import Parameters
     from gear_dynamics_ros.simulation.engine import Engine
+    from support.referee import CHANNELS, Referee, nested
+    from support.referee_runs import ROUGH, RUNS, SAMPLES, disagreement
 
     steps = (1e-6, 0.5e-6, 0.25e-6, 0.125e-6)
     columns = " | ".join(f"{step * 1e6:g} us, nm" for step in steps)

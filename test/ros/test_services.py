@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -23,8 +23,8 @@ from std_srvs.srv import SetBool, Trigger
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.ros.deferred_answers import require_send_response
 from gear_dynamics_ros.ros.profile_client import require_take_message
-
-PATIENCE = 120.0  # a first start compiles the kernel
+from support.gearbox import PATIENCE, start_gearbox
+from support.processes import Process, StartProcess
 
 
 class Caller:
@@ -69,17 +69,17 @@ def caller(ros_domain: int) -> Iterator[Caller]:
 
 
 @pytest.fixture
-def gearbox(ros_domain: int, process: Callable[..., Any], tmp_path: Any) -> Any:
-    options = ("pacing.real_time_factor:=0.1", f"checkpoint.path:={tmp_path / 'state.json'}")
-    arguments = [word for option in options for word in ("-p", option)]
-    return process(sys.executable, "-m", "gear_dynamics_ros.cli.gearbox", "--ros-args", *arguments)
+def gearbox(ros_domain: int, process: StartProcess, tmp_path: Path) -> Process:
+    return start_gearbox(
+        process, "pacing.real_time_factor:=0.1", f"checkpoint.path:={tmp_path / 'state.json'}"
+    )
 
 
 def pause(paused: bool) -> Any:
     return SetBool.Request(data=paused)
 
 
-def test_a_hundred_calls_at_once_get_a_hundred_answers(gearbox: Any, caller: Caller) -> None:
+def test_a_hundred_calls_at_once_get_a_hundred_answers(gearbox: Process, caller: Caller) -> None:
     client = caller.client(SetBool, "pause", depth=100)
     answers = caller.answers([client.call_async(pause(number % 2 == 0)) for number in range(100)])
     words = [answer.message.split(" at ")[0] for answer in answers]
@@ -89,7 +89,7 @@ def test_a_hundred_calls_at_once_get_a_hundred_answers(gearbox: Any, caller: Cal
     assert all("not paused" in answer.message and not answer.success for answer in refusals)
 
 
-def test_sixteen_clients_at_once_are_all_answered(gearbox: Any, caller: Caller) -> None:
+def test_sixteen_clients_at_once_are_all_answered(gearbox: Process, caller: Caller) -> None:
     clients = [caller.client(SetBool, "pause") for _ in range(16)]
     for paused in (True, False):
         answers = caller.answers([client.call_async(pause(paused)) for client in clients])
@@ -97,7 +97,7 @@ def test_sixteen_clients_at_once_are_all_answered(gearbox: Any, caller: Caller) 
         assert sum("already" in answer.message for answer in answers) == 15
 
 
-def test_a_call_that_takes_long_holds_up_no_other(gearbox: Any, caller: Caller) -> None:
+def test_a_call_that_takes_long_holds_up_no_other(gearbox: Process, caller: Caller) -> None:
     assert caller.call(SetBool, "pause", pause(True)).success
     chunks = [Parameter("stepping.chunks", value=1_000_000).to_parameter_msg()]
     assert caller.call(SetParameters, "set_parameters", SetParameters.Request(parameters=chunks))
@@ -114,7 +114,7 @@ def test_a_call_that_takes_long_holds_up_no_other(gearbox: Any, caller: Caller) 
 
 
 def test_changes_and_restores_at_once_leave_node_and_run_with_the_same_parameters(
-    gearbox: Any, caller: Caller
+    gearbox: Process, caller: Caller
 ) -> None:
     assert caller.call(Trigger, "save_checkpoint").success
     restore = caller.client(Trigger, "restore_checkpoint", depth=100)
@@ -138,7 +138,7 @@ def test_changes_and_restores_at_once_leave_node_and_run_with_the_same_parameter
     assert caller.call(SetParametersAtomically, "set_parameters_atomically", request).result.successful
 
 
-def test_what_rclpy_cannot_set_is_answered_and_the_node_goes_on(gearbox: Any, caller: Caller) -> None:
+def test_what_rclpy_cannot_set_is_answered_and_the_node_goes_on(gearbox: Process, caller: Caller) -> None:
     broken = ParameterMessage(name="oil.viscosity")
     broken.value.type = 99
     answer = caller.call(SetParameters, "set_parameters", SetParameters.Request(parameters=[broken]))
@@ -149,7 +149,7 @@ def test_what_rclpy_cannot_set_is_answered_and_the_node_goes_on(gearbox: Any, ca
     assert caller.call(SetBool, "pause", pause(True)).success
 
 
-def test_a_checkpoint_file_that_is_none_is_answered(gearbox: Any, caller: Caller, tmp_path: Any) -> None:
+def test_a_checkpoint_file_that_is_none_is_answered(gearbox: Process, caller: Caller, tmp_path: Path) -> None:
     (tmp_path / "state.json").write_text("[]")
     answer = caller.call(Trigger, "restore_checkpoint")
     assert not answer.success and "no checkpoint" in answer.message

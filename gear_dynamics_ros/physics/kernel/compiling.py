@@ -20,15 +20,15 @@ CACHE_KEY = hashlib.sha256(f"{kernel_hash()} {FROZEN}".encode()).hexdigest()
 
 # Contraction to fused multiply-add is allowed, reassociation is not: the bits follow from the source.
 compiled = njit(fastmath={"contract"}, error_model="numpy")
-# Of a function that is small, or whose caller uses only part of what it returns.
+# For a function that is small, or whose caller uses only part of what it returns.
 inlined = njit(fastmath={"contract"}, error_model="numpy", forceinline=True)
-# Of a function whose rounding matters: no contraction either.
+# For a function whose rounding matters.
 uncontracted = njit(error_model="numpy")
 
 
 def entry_point(function: Any) -> Any:
-    """Of a function that Python calls: cached on disk, without Python's lock."""
-    # The same function with a closure, which the cache hashes, of one variable that the function never reads.
+    """Decorator of a function that Python calls: compiled without Python's lock, and cached on disk."""
+    # A closure of one variable that the function never reads: numba's cache hashes it.
     code = function.__code__.replace(co_freevars=("cache_key",))
     keyed = FunctionType(code, function.__globals__, closure=(CellType(CACHE_KEY),))
     return njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")(keyed)

@@ -104,29 +104,22 @@ def store_mesh_events(
 ) -> bool:
     """The flanks' gaps, and what would make the mesh pull, as ``store_events`` does."""
     b1, b1_rate, flank = teeth.half_backlash, teeth.half_backlash_rate, state.flank
-    upper, upper_rate = b1 - teeth.q, b1_rate - teeth.q_rate
-    lower, lower_rate = teeth.q + b1, teeth.q_rate + b1_rate
+    drive, drive_rate = b1 - teeth.q, b1_rate - teeth.q_rate
+    back, back_rate = teeth.q + b1, teeth.q_rate + b1_rate
     clamp, clamp_rate = 1.0, 0.0
     if flank > 0.0:
-        upper, upper_rate, lower, lower_rate = -upper, -upper_rate, 1.0, 0.0
+        drive, drive_rate, back, back_rate = -drive, -drive_rate, 1.0, 0.0
     elif flank < 0.0:
-        upper, upper_rate, lower, lower_rate = 1.0, 0.0, -lower, -lower_rate
+        drive, drive_rate, back, back_rate = 1.0, 0.0, -back, -back_rate
     if constants.contact_damping and flank != 0.0:
         sign = flank * (1.0 - 2.0 * state.mesh_clamped)
         clamp = sign * (teeth.stiffness * teeth.deflection + constants.damping * teeth.deflection_rate)
         clamp_rate = sign * push_rate(constants, state, point, teeth, rates)
-    point.value[DRIVE_FLANK_EVENT], point.value[BACK_FLANK_EVENT], point.value[MESH_CLAMP_EVENT] = (
-        upper,
-        lower,
-        clamp,
-    )
-    point.rate[DRIVE_FLANK_EVENT], point.rate[BACK_FLANK_EVENT], point.rate[MESH_CLAMP_EVENT] = (
-        upper_rate,
-        lower_rate,
-        clamp_rate,
-    )
-    earlier_gaps = min(upper - before * upper_rate, lower - before * lower_rate)
-    least = min(min(upper, lower), min(clamp, clamp - before * clamp_rate))
+    point.value[DRIVE_FLANK_EVENT], point.rate[DRIVE_FLANK_EVENT] = drive, drive_rate
+    point.value[BACK_FLANK_EVENT], point.rate[BACK_FLANK_EVENT] = back, back_rate
+    point.value[MESH_CLAMP_EVENT], point.rate[MESH_CLAMP_EVENT] = clamp, clamp_rate
+    earlier_gaps = min(drive - before * drive_rate, back - before * back_rate)
+    least = min(min(drive, back), min(clamp, clamp - before * clamp_rate))
     return bool((least < 0.0) | (earlier_gaps < 0.0))
 
 

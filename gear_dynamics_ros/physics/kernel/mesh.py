@@ -71,9 +71,8 @@ def mesh_forces(
     shift_x, shift_y = motion.x[1] - motion.x[0], motion.y[1] - motion.y[0]
     shift_x_rate, shift_y_rate = motion.vx[1] - motion.vx[0], motion.vy[1] - motion.vy[0]
     dx = constants.centre_distance + shift_x
-    tan2_change = (shift_x * (constants.centre_distance + dx) + shift_y * shift_y) * (
-        constants.per_radii * constants.per_radii
-    )
+    a2_change = shift_x * (constants.centre_distance + dx) + shift_y * shift_y  # a^2 - a_s^2
+    tan2_change = a2_change * (constants.per_radii * constants.per_radii)
     involute, cos_alpha, sin_alpha, cot_alpha = involute_functions(constants, tan2_change)
     per_a = cos_alpha * constants.per_radii
     cos_beta, sin_beta = dx * per_a, shift_y * per_a
@@ -98,10 +97,8 @@ def mesh_forces(
         q = (motion.u - e) - shift_x * sin_gamma - shift_y * cos_gamma
         q_rate = (u_rate - e_rate) - shift_x_rate * sin_gamma - shift_y_rate * cos_gamma
         q_rate -= gamma_rate * (shift_x * cos_gamma - shift_y * sin_gamma)
-        gradient_x, gradient_y = (
-            along_x + flank * sin_alpha * cos_beta,
-            along_y + flank * sin_alpha * sin_beta,
-        )
+        gradient_x = along_x + flank * sin_alpha * cos_beta
+        gradient_y = along_y + flank * sin_alpha * sin_beta
 
     touching = abs(flank)
     side = flank + (1.0 - touching)

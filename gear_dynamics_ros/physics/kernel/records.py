@@ -83,7 +83,7 @@ CONSTANTS = padded_record(
         ("error_mean", F8),  # e_m, m
         ("per_mass", F8, 2),  # 1/kg
         ("per_inertia", F8, 2),  # 1/(kg m^2)
-        ("per_mesh_mass", F8),  # 1/kg, acceleration of the deflection by a newton of mesh force
+        ("per_mesh_mass", F8),  # 1/kg, acceleration of g by a newton of mesh force
         ("teeth1", F8),
         ("clearance", F8, 2),  # b_b, m
         ("kelvin_stiffness", F8, 2),  # N/m

@@ -51,10 +51,8 @@ def rotate_waves(constants: KernelRecord, waves: Pointer) -> None:
     n = constants.padded_waves
     for j in range(0, n, ROW_BLOCK):
         cosine, sine = load8(waves, COSINE * n + j), load8(waves, SINE * n + j)
-        rotation_cosine, rotation_sine = (
-            load8(waves, ROTATION_COSINE * n + j),
-            load8(waves, ROTATION_SINE * n + j),
-        )
+        rotation_cosine = load8(waves, ROTATION_COSINE * n + j)
+        rotation_sine = load8(waves, ROTATION_SINE * n + j)
         store(waves, COSINE * n + j, cosine * rotation_cosine - sine * rotation_sine)
         store(waves, SINE * n + j, sine * rotation_cosine + cosine * rotation_sine)
 

@@ -1,0 +1,236 @@
+"""`drive` against the real node over DDS: commands reach it, failures are told with numbers."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
+
+import pytest
+
+from support.gearbox import Client, Peer, shared_gearbox, start_gearbox
+from support.paths import CONFIG
+from support.processes import Process, StartProcess
+
+# `make demo` plays demo.yaml.
+SHIPPED = sorted(path for path in (CONFIG / "profiles").glob("*.yaml") if path.stem != "demo")
+
+STEP = """
+commands:
+  load_torque:
+    - {at: 0.0, value: 20.0}
+    - {at: 0.3, value: 45.0}
+  speed:
+    - {at: 0.0, value: 400.0}
+expectations:
+  - {name: not early, every: load_torque, from: 0.15, to: 0.3, target: 20.0, tolerance: 0.0}
+  - {name: step applied, every: load_torque, from: 0.45, to: 0.6, target: 45.0, tolerance: 0.0}
+  - {name: speed governed, mean: driving_speed, from: 0.2, to: 0.3, target: 400.0, tolerance: 20.0}
+"""
+IMPOSSIBLE = """
+commands: {load_torque: [{at: 0.0, value: 20.0}]}
+expectations:
+  - {name: impossible torque, largest: load_torque, from: 0.15, to: 0.25, minimum: 1e3}
+  - {name: drive flank, share: drive, from: 0.15, to: 0.25, minimum: 0.0, maximum: 1.0}
+"""
+RUNAWAY = """
+duration: 1000.0
+commands: {drive_torque: [{at: 0.0, value: 190.0}]}
+"""
+REPLAYED = """
+commands: {load_torque: [{from: 0.0, csv: load.csv, interpolation: held}]}
+expectations:
+  - {name: first row, every: load_torque, from: 0.15, to: 0.3, target: 12.0, tolerance: 0.0}
+  - {name: second row, every: load_torque, from: 0.45, to: 0.6, target: 34.0, tolerance: 0.0}
+"""
+CONFIGURED = """
+parameters: {PARAMETERS}
+commands: {load_torque: [{at: 0.0, value: 20.0}]}
+expectations:
+  - {name: load applied, every: load_torque, from: 0.5, to: 0.6, target: 20.0, tolerance: 0.0}
+"""
+RESET = """
+reset: true
+commands: {load_torque: [{at: 0.1, value: 20.0}]}
+expectations:
+  - {name: load of the start state, every: load_torque, from: 0.0, to: 0.1, target: 30.0, tolerance: 0.0}
+"""
+LONG = """
+expectations:
+  - {name: never reached, mean: dte, from: 0.0, to: 1000.0, minimum: -1.0}
+"""
+
+
+@pytest.fixture
+def profile(tmp_path: Path) -> Path:
+    return tmp_path / "profile.yaml"
+
+
+class Shared(NamedTuple):
+    process: Process
+    client: Client
+    parameters: dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def shared(module_ros_domain: int, module_process: StartProcess) -> Iterator[Shared]:
+    """A gearbox that all tests here may drive; it turns at 400 rad/s.
+
+    Slowed down: on a busy machine the waveform reaches drive up to a second of wall time late, and so do its
+    commands the gearbox.
+    """
+    words = ("operation.speed:=400.0", "pacing.real_time_factor:=0.2")
+    hears = ("event", "applied_command")
+    with shared_gearbox(module_process, *words, hears=hears) as (process, client, parameters):
+        yield Shared(process, client, parameters)
+
+
+@pytest.fixture
+def gearbox(shared: Shared) -> Process:
+    """It has just begun anew with the parameters it was started with."""
+    shared.client.put_back(shared.parameters)
+    return shared.process
+
+
+def drive(process: StartProcess, profile: Path, text: str, *options: str) -> Process:
+    profile.write_text(text)
+    return process("drive", profile, *options)
+
+
+def test_commands_take_effect_at_their_time_and_expectations_hold(
+    gearbox: Process, process: StartProcess, profile: Path
+) -> None:
+    run = drive(process, profile, STEP, "--wait", "60")
+    assert run.wait() == 0, run.output + gearbox.output
+    assert "3 of 3 expectations passed" in run.stdout
+    assert run.stdout.count("\npass  ") == 3
+    assert run.stderr == ""
+
+
+def test_a_failed_expectation_is_named_with_its_numbers(
+    gearbox: Process, process: StartProcess, profile: Path
+) -> None:
+    report = profile.with_suffix(".xml")
+    run = drive(process, profile, IMPOSSIBLE, "--wait", "60", "--junit", str(report))
+    assert run.wait() == 1, run.output
+    assert "1 of 2 expectations passed" in run.stdout
+    assert run.stderr.splitlines() == [
+        "drive: failed: impossible torque: largest of load_torque in 0.15 to 0.25 s is 20 N m, "
+        "expected >= 1000 N m"
+    ]
+
+    (suite,) = ElementTree.parse(report).getroot()
+    assert [[child.tag for child in case] for case in suite] == [["failure"], []]
+
+
+def test_a_recorded_command_is_replayed(gearbox: Process, process: StartProcess, profile: Path) -> None:
+    (profile.parent / "load.csv").write_text("time,load_torque\n0,12\n0.3,34\n")
+    run = drive(process, profile, REPLAYED, "--wait", "60")
+    assert run.wait() == 0, run.output
+
+
+def test_a_reset_before_time_0_brings_back_the_commands_of_the_parameters(
+    gearbox: Process, process: StartProcess, profile: Path
+) -> None:
+    loaded = "duration: 0.1\ncommands: {load_torque: [{at: 0.0, value: 45.0}]}"
+    before = drive(process, profile, loaded, "--wait", "60")
+    assert before.wait() == 0, before.output
+    run = drive(process, profile, RESET)
+    assert run.wait() == 0, run.output
+
+
+def configured(parameters: str) -> str:
+    """Text of a profile with these parameters."""
+    return CONFIGURED.replace("PARAMETERS", parameters)
+
+
+def test_parameters_are_set_before_the_start(ros_domain: int, process: StartProcess, profile: Path) -> None:
+    start_gearbox(process, remap=["__ns:=/rig", "__node:=left"])
+    run = drive(
+        process, profile, configured("pacing.real_time_factor: 0.5"), "--node", "rig/left", "--wait", "60"
+    )
+    assert run.wait() == 0, run.output
+    with Peer("asking", "/rig/left") as asking:
+        assert asking.get("pacing.real_time_factor") == 0.5
+
+
+def test_parameters_of_which_one_is_refused_are_not_set(
+    gearbox: Process, shared: Shared, process: StartProcess, profile: Path
+) -> None:
+    report = profile.with_suffix(".xml")
+    text = configured("pacing.real_time_factor: 0.25, operation.speed_limit: -1.0")
+    run = drive(process, profile, text, "--wait", "60", "--junit", str(report))
+    assert run.wait() == 1, run.output
+    (line,) = run.stderr.splitlines()
+    assert line.startswith("drive: error: /gearbox refused the profile's parameters: ")
+    assert "operation.speed_limit" in line
+    assert "0 commands published" in run.stdout
+    assert shared.client.changeable() == shared.parameters
+    (suite,) = ElementTree.parse(report).getroot()
+    assert [[child.tag for child in case] for case in suite] == [["skipped"], ["error"]]
+    assert suite[-1][0].get("message") == line.removeprefix("drive: error: ")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_tells_how_far_it_came(
+    gearbox: Process, process: StartProcess, profile: Path, number: signal.Signals
+) -> None:
+    report = profile.with_suffix(".xml")
+    run = drive(process, profile, LONG, "--wait", "60", "--junit", str(report))
+    run.wait_for("joined")
+    run.signal_group(number)
+    assert run.wait() == 128 + number, run.output
+    (line,) = run.stderr.splitlines()
+    assert line.startswith(f"drive: interrupted by {number.name} at ")
+    assert line.endswith(" s of the profile's 1000 s")
+    assert "\nopen  never reached  " in run.stdout
+    (suite,) = ElementTree.parse(report).getroot()
+    assert [[child.tag for child in case] for case in suite] == [["skipped"], ["error"]]
+
+
+def test_an_absent_gearbox_is_told_within_the_wait(
+    ros_domain: int, process: StartProcess, profile: Path
+) -> None:
+    run = drive(process, profile, LONG, "--node", "nobody", "--wait", "0.5")
+    assert run.wait() == 1
+    (line,) = run.stderr.splitlines()
+    assert line.startswith("drive: error: no gearbox /nobody was seen for 0.5 s: start it")
+
+
+def test_a_missing_channel_and_a_killed_gearbox_are_told(
+    ros_domain: int, process: StartProcess, profile: Path
+) -> None:
+    gearbox = start_gearbox(process, "waveform_channels:=['time', 'dte']")
+    run = drive(process, profile, IMPOSSIBLE, "--wait", "60")
+    assert run.wait() == 1
+    assert "channel load_torque is needed by expectation 'impossible torque'" in run.stderr
+    assert "waveform_channels" in run.stderr
+
+    run = drive(process, profile, LONG, "--wait", "60", "--timeout", "1")
+    run.wait_for("joined")
+    gearbox.signal(signal.SIGKILL)
+    assert run.wait() == 1
+    (line,) = run.stderr.splitlines()
+    assert line.startswith("drive: error: /gearbox ")
+    assert "never reached" in run.stdout
+
+
+def test_the_end_of_the_run_is_told_with_its_reason(
+    ros_domain: int, process: StartProcess, profile: Path
+) -> None:
+    gearbox = start_gearbox(process, "operation.control:=torque")
+    run = drive(process, profile, RUNAWAY, "--wait", "60")
+    assert run.wait() == 1, run.output + gearbox.output
+    (line,) = run.stderr.splitlines()
+    assert line.startswith("drive: error: /gearbox ended the run at ")
+    assert "over-speed" in line
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_a_shipped_profile_holds(gearbox: Process, shared: Shared, process: StartProcess, path: Path) -> None:
+    assert shared.client.put("pacing.real_time_factor", 0.25).successful
+    run = process("drive", path, "--wait", "60")
+    assert run.wait() == 0, run.output + gearbox.output
+    assert "\nFAIL" not in run.stdout

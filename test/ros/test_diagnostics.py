@@ -1,0 +1,100 @@
+"""What diagnostics tell of a gearbox in trouble, the trouble being real."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from std_msgs.msg import Float64
+
+from gear_dynamics_ros.chunk import Commands
+from support.domains import free_port
+from support.gearbox import Client, start_gearbox
+from support.processes import StartProcess
+
+
+def test_coarse_steps_are_told_where_they_matter(
+    ros_domain: int, process: StartProcess, tmp_path: Path
+) -> None:
+    """Steps of 0.1 ms: of contacts, of the surface's waves, and of what the waveform can show."""
+    start_gearbox(
+        process,
+        "solver.step:=1.0e-4",
+        "solver.sample_interval:=1.0e-4",
+        "surface.waves:=16",
+        "operation.control:=torque",
+        "operation.speed:=100.0",
+        "pacing.real_time_factor:=0.0",
+        f"recording.path:={tmp_path / 'bag'}",
+        "recording.mode:=ring",
+        "rerun.mode:=serve",
+        f"rerun.port:={free_port()}",
+    )
+    with Client() as client:
+        client.until(lambda: client.status("contacts")[1]["capped"] != "0")
+        found = client.statuses()
+    messages = {name: status.message for name, status in found.items()}
+    assert messages["contacts"] == "some event searches met their limit"
+    assert found["contacts"].level == DiagnosticStatus.OK
+    assert found["step"].level == DiagnosticStatus.WARN
+    assert "solver.step times the frequency of the shortest wave" in messages["step"]
+    assert messages["waveform"].startswith("the highest surface waves lie above half the sampling rate")
+    waves = {entry.key: float(entry.value) for entry in found["waveform"].values}
+    assert waves["half the sampling rate (Hz)"] == 5000.0
+    # 40 teeth, each wave 1.5 times as many as the one before; 100 rad/s
+    assert waves["highest surface wave (Hz)"] == pytest.approx(40 * 1.5**15 * 100.0 / 6.283185307, rel=1e-5)
+    assert messages["pacing"] == "as fast as possible"
+    assert messages["recorder"] == "keeping the ring"
+    assert messages["viewer"] == "showing"
+
+
+def test_a_pace_that_cannot_be_kept_is_too_slow(ros_domain: int, process: StartProcess) -> None:
+    start_gearbox(process, "pacing.real_time_factor:=1000.0")
+    with Client() as client:
+        client.until(lambda: client.status("pacing")[0].message.startswith("too slow"))
+        status, values = client.status("pacing")
+    assert status.level == DiagnosticStatus.WARN
+    assert "lower pacing.real_time_factor or lengthen solver.step" in status.message
+    assert values["real-time factor wanted"] == "1000"
+    assert int(values["overruns"]) > 0 and float(values["slipped (s)"]) > 0.0
+
+
+def test_a_disk_that_is_full_soon_is_told_while_there_is_room(
+    ros_domain: int, process: StartProcess, tmp_path: Path
+) -> None:
+    volume = os.statvfs(tmp_path)
+    room = 300_000_000  # B, for less than a minute at the pace of a gearbox in real time
+    kept_free = volume.f_bavail * volume.f_frsize - room
+    start_gearbox(process, f"recording.path:={tmp_path / 'bag'}", f"recording.minimum_free:={kept_free}")
+    with Client() as client:
+        client.until(lambda: client.status("recorder")[0].level != DiagnosticStatus.OK)
+        status, values = client.status("recorder")
+    assert status.level == DiagnosticStatus.WARN
+    assert status.message == "the disk is full soon: free space or stop recording"
+    assert 0.0 < float(values["seconds_left"]) < 60.0
+
+
+def test_a_lack_of_commands_is_told_until_one_comes(ros_domain: int, process: StartProcess) -> None:
+    start_gearbox(
+        process,
+        "pacing.real_time_factor:=0.2",
+        "operation.command_timeout:=0.2",
+        "operation.on_timeout:=release",
+        "operation.load_viscous:=0.1",
+    )
+    with Client() as client:
+        client.until(lambda: client.status("commands")[0].level == DiagnosticStatus.WARN)
+        status, values = client.status("commands")
+        assert status.message == "no command within operation.command_timeout"
+        assert values["load_torque (N m)"] == "0"
+        assert client.in_force() == Commands(0.0, 0.0, client.in_force().speed)
+        # Longer than the test, so that one command is enough.
+        assert client.put("operation.command_timeout", 1000.0).successful
+        client.command("load_torque_command", Float64(data=12.0))
+        client.until(lambda: client.in_force().load_torque == 12.0)
+        client.statuses()
+        status, values = client.status("commands")
+        assert (status.level, status.message) == (DiagnosticStatus.OK, "all good")
+        assert values["load_torque (N m)"] == "12"
