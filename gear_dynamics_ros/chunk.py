@@ -31,6 +31,9 @@ class Commands(NamedTuple):
     load_torque: float  # N m, T_L > 0 resists
     speed: float  # rad/s, set-point of the governor or nominal speed
 
+    def __str__(self) -> str:
+        return f"drive {self.drive_torque:g} N m, load {self.load_torque:g} N m, speed {self.speed:g} rad/s"
+
 
 class Counters(NamedTuple):
     """Totals since the start of the run."""

@@ -103,7 +103,7 @@ FLOAT_COMMANDS: Final = {
 JOINT_COMMAND: Final = "joint_command"
 COMMAND_TOPICS: Final = (*FLOAT_COMMANDS, JOINT_COMMAND)
 # Messages that a chunk makes, in this order; impacts only if some ended, the clock at its rate.
-OF_A_CHUNK: Final = (
+CHUNK_TOPICS: Final = (
     "joint_states",
     "dte",
     "mesh_force",

@@ -54,7 +54,7 @@ def _diff(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--output {output} is a file: name a folder")
     both = recording.open(arguments.a), recording.open(arguments.b)
     common = pair(*both, arguments.align, arguments.start, arguments.end)
-    with Progress("compared", common.beyond - common.first) as progress:
+    with Progress("compared", common.end - common.first) as progress:
         difference = compare_recordings(common, progress)
     for name, bag in zip("AB", both, strict=True):
         if not bag.complete:

@@ -25,7 +25,9 @@ def add_export(verbs: Any) -> None:
     parser.add_argument("bag", metavar="BAG", help="recording: a folder or a single .mcap file")
     parser.add_argument("--output", type=Path, required=True, metavar="FILE", help="new file")
     parser.add_argument("--format", choices=tuple(FORMATS), help="default: by the suffix of FILE")
-    parser.add_argument("--table", choices=tables.NAMES, default=tables.WAVEFORM, help="default: waveform")
+    parser.add_argument(
+        "--table", choices=tables.TABLE_NAMES, default=tables.WAVEFORM, help="default: waveform"
+    )
     parser.add_argument(
         "--channels", metavar="NAME,...", help="columns of the waveform beside sample and time (default: all)"
     )

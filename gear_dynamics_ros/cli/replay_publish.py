@@ -76,7 +76,7 @@ def _play_at_own_pace(bag: recording.Recording, arguments: argparse.Namespace) -
     with needing_ros():
         from gear_dynamics_ros.ros.profile_client import play_profile
     node = full_name(arguments.node)
-    script = publish.commands_of(bag)
+    script = publish.command_script(bag)
     commands = [(step.time_ns / 1e9, step.commands) for step in script.steps]
     profile = step_profile(f"commands of {bag.path}", script.duration_ns / 1e9, commands)
     profile = replace(profile, reset=arguments.reset)
@@ -107,7 +107,7 @@ def _play_in_lockstep(bag: recording.Recording, arguments: argparse.Namespace) -
     with needing_ros():
         from gear_dynamics_ros.ros.lockstep_client import play_script
     node = full_name(arguments.node)
-    script = publish.script_of(bag)
+    script = publish.full_script(bag)
     if arguments.reset:
         script = publish.with_initial_reset(script)
     _print_skipped(publish.skipped_by_script(bag), "")

@@ -32,17 +32,16 @@ def add_verify(verbs: Any) -> None:
 
 
 def _verify(arguments: argparse.Namespace) -> int:
-    from gear_dynamics_ros.replay.verify import (  # loads the kernel, which other verbs need not wait for
-        origins,
-        verify_recording,
-    )
+    # Imported here: loading the kernel takes time, and the other verbs do not need it.
+    from gear_dynamics_ros.replay.verify import verify_recording
+    from gear_dynamics_ros.simulation.provenance import provenance_differences
 
     bag = recording.open(arguments.bag)
     with Progress("verified", bag.end_sample - bag.first_sample) as progress:
         result = verify_recording(bag, arguments.start, progress)
     if result.difference is not None:
         print(f"replay: error: {bag.path}: {result.difference}", file=sys.stderr)
-        for line in origins(bag):
+        for line in provenance_differences(bag.run.provenance):
             print(f"replay: {line}", file=sys.stderr)
         return FAILURE
     print(

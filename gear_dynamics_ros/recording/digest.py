@@ -11,10 +11,10 @@ import hashlib
 from collections.abc import Collection
 from typing import Final
 
-from gear_dynamics_ros.topics import OF_A_CHUNK, TOPICS
+from gear_dynamics_ros.topics import CHUNK_TOPICS, TOPICS
 
 # Topics (keys in TOPICS) whose messages no chunk makes.
-INPUT_TOPICS: Final[Collection[str]] = frozenset(TOPICS) - frozenset(OF_A_CHUNK)
+INPUT_TOPICS: Final[Collection[str]] = frozenset(TOPICS) - frozenset(CHUNK_TOPICS)
 
 
 class RunningDigest:

@@ -1,4 +1,4 @@
-"""Compares two recordings: all channels, sample by sample."""
+"""Compares two recordings in all common channels, sample by sample."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class RecordingDifference(NamedTuple):
     @property
     def samples(self) -> int:
         """Number of samples compared."""
-        return self.pair.beyond - self.pair.first
+        return self.pair.end - self.pair.first
 
     def same(self) -> bool:
         """Whether both have the same samples and channels with the same bits."""
-        more = any(self.pair.lone_channels) or any(map(any, self.pair.ends))
+        more = any(self.pair.extra_channels) or any(map(any, self.pair.extra))
         return not more and not any(found.differing_samples for found in self.differences.values())
 
 
@@ -45,9 +45,9 @@ def compare_recordings(
     """
     names = both.channels
     comparison, envelope = Comparison(names), Envelope()
-    for a, b in both.stretches(names):
-        apart = comparison.add(a.first, a.values, b.values)
-        envelope.add(a, Quantities(names, apart))
+    for a, b in both.blocks(names):
+        distances = comparison.add(a.first, a.values, b.values)
+        envelope.add(a, Quantities(names, distances))
         progress(comparison.samples)
     return RecordingDifference(both, comparison.differences(), envelope)
 
@@ -57,11 +57,11 @@ def first_above(both: Pair, name: str, threshold: float) -> int:
 
     The end of the common samples if there is none. Raises GearboxError as ``compare_recordings`` does.
     """
-    for a, b in both.stretches([name]):
+    for a, b in both.blocks([name]):
         reached = absolute_difference(a.values, b.values, [0] if name in ANGLES else []) >= threshold
         if reached.any():
             return a.first + int(reached.argmax())
-    return both.beyond
+    return both.end
 
 
 def window_around(both: Pair, name: str, sample: int) -> tuple[Samples, NDArray[np.float64]]:
@@ -70,9 +70,9 @@ def window_around(both: Pair, name: str, sample: int) -> tuple[Samples, NDArray[
     Raises GearboxError as ``compare_recordings`` does.
     """
     near = both._replace(
-        first=max(sample - SAMPLES_BEFORE, both.first), beyond=min(sample + SAMPLES_AFTER, both.beyond)
+        first=max(sample - SAMPLES_BEFORE, both.first), end=min(sample + SAMPLES_AFTER, both.end)
     )
-    ours, theirs = zip(*near.stretches([name]), strict=True)
+    ours, theirs = zip(*near.blocks([name]), strict=True)
     values = np.concatenate([samples.values for samples in ours])
     others = np.concatenate([samples.values[:, 0] for samples in theirs])
     return Samples(near.first, near.interval, (name,), values), others

@@ -1,4 +1,4 @@
-"""The difference of two recordings as files: numbers and a figure."""
+"""Writes the difference of two recordings to files: numbers and a figure."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gear_dynamics_ros.analysis.comparison import ChannelDifference
 from gear_dynamics_ros.analysis.summary import QUANTITY_UNITS
 from gear_dynamics_ros.recording import OperatorEvent, Recording
 from gear_dynamics_ros.replay.diff import SAMPLES_AFTER, RecordingDifference, first_above, window_around
-from gear_dynamics_ros.replay.pairing import Ends
+from gear_dynamics_ros.replay.pairing import ExtraSamples
 from gear_dynamics_ros.system.files import output_file
 
 if TYPE_CHECKING:
@@ -84,14 +84,14 @@ def difference_json(difference: RecordingDifference, align: str) -> dict[str, An
     """
     both = difference.pair
     return {
-        "a": _recording_json(both.a, both.ends[0], both.lone_channels[0]),
-        "b": _recording_json(both.b, both.ends[1], both.lone_channels[1]),
+        "a": _recording_json(both.a, both.extra[0], both.extra_channels[0]),
+        "b": _recording_json(both.b, both.extra[1], both.extra_channels[1]),
         "same": difference.same(),
         "align": align,
         "shift": both.shift,
         "sample_interval": both.interval,
         "from": both.first * both.interval,
-        "to": both.beyond * both.interval,
+        "to": both.end * both.interval,
         "samples": difference.samples,
         "channels": {
             name: _channel_json(name, found, both.interval) for name, found in difference.differences.items()
@@ -113,7 +113,7 @@ def difference_json(difference: RecordingDifference, align: str) -> dict[str, An
     }
 
 
-def _recording_json(bag: Recording, ends: Ends, channels: Sequence[str]) -> dict[str, Any]:
+def _recording_json(bag: Recording, extra: ExtraSamples, channels: Sequence[str]) -> dict[str, Any]:
     """One of the recordings, and what only it has."""
     return {
         "recording": str(bag.path),
@@ -122,7 +122,7 @@ def _recording_json(bag: Recording, ends: Ends, channels: Sequence[str]) -> dict
         "kernel_hash": bag.kernel_hash,
         "first_sample": bag.first_sample,
         "end_sample": bag.end_sample,
-        "only": {"samples_before": ends.before, "samples_after": ends.after, "channels": list(channels)},
+        "only": {"samples_before": extra.before, "samples_after": extra.after, "channels": list(channels)},
     }
 
 

@@ -1,4 +1,4 @@
-"""The difference of two recordings as text."""
+"""Difference of two recordings as text."""
 
 from __future__ import annotations
 
@@ -7,21 +7,20 @@ from typing import Final
 
 from gear_dynamics_ros.analysis.comparison import ChannelDifference
 from gear_dynamics_ros.analysis.summary import QUANTITY_UNITS
-from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.recording import Recording
 from gear_dynamics_ros.replay.diff import RecordingDifference
 from gear_dynamics_ros.replay.pairing import Pair
 
-LISTED: Final = 6  # entries of a kind; the JSON file has all
+LISTED: Final = 6  # entries of one kind; the JSON file has all
 
 
 def difference_lines(difference: RecordingDifference) -> list[str]:
-    """The difference as text: origin, what only one of them has, a table of the channels, the verdict."""
+    """The difference as lines: recordings, what only one of them has, table of channels, verdict."""
     both = difference.pair
     return [
         *(_recording_line(name, bag) for name, bag in zip("AB", (both.a, both.b), strict=True)),
         f"compared: {difference.samples} samples of {len(both.channels)} channels, "
-        f"{_seconds(both, both.first)} to {_seconds(both, both.beyond)} of A" + _shift_text(both),
+        f"{_seconds(both, both.first)} to {_seconds(both, both.end)} of A" + _shift_text(both),
         *_extra_lines(both),
         *_input_lines(both),
         "",
@@ -53,11 +52,11 @@ def _shift_text(both: Pair) -> str:
 def _extra_lines(both: Pair) -> list[str]:
     """Samples and channels that only one of them has."""
     lines = []
-    for name, ends, channels in zip("AB", both.ends, both.lone_channels, strict=True):
-        if ends.before:
-            lines.append(f"only {name}: {ends.before} samples before {_seconds(both, both.first)}")
-        if ends.after:
-            lines.append(f"only {name}: {ends.after} samples from {_seconds(both, both.beyond)} on")
+    for name, extra, channels in zip("AB", both.extra, both.extra_channels, strict=True):
+        if extra.before:
+            lines.append(f"only {name}: {extra.before} samples before {_seconds(both, both.first)}")
+        if extra.after:
+            lines.append(f"only {name}: {extra.after} samples from {_seconds(both, both.end)} on")
         if channels:
             lines.append(f"only {name}: channels {', '.join(channels)}")
     return lines
@@ -67,8 +66,7 @@ def _input_lines(both: Pair) -> list[str]:
     """Parameters, commands and events that differ."""
     parameters = [f"{name}: {ours} in A, {theirs} in B" for name, (ours, theirs) in both.parameters().items()]
     commands = [
-        f"commands from {_seconds(both, entry.sample)} on: "
-        f"{_commands_text(entry.a)} in A, {_commands_text(entry.b)} in B"
+        f"commands from {_seconds(both, entry.sample)} on: {entry.a or 'none'} in A, {entry.b or 'none'} in B"
         for entry in both.commands()
     ]
     events = [
@@ -78,15 +76,6 @@ def _input_lines(both: Pair) -> list[str]:
         for event in alone
     ]
     return [line for lines in (parameters, commands, events) for line in _shortened(lines)]
-
-
-def _commands_text(commands: Commands | None) -> str:
-    if commands is None:
-        return "none"
-    return (
-        f"drive {commands.drive_torque:g} N m, load {commands.load_torque:g} N m, "
-        f"speed {commands.speed:g} rad/s"
-    )
 
 
 def _shortened(entries: Sequence[str]) -> list[str]:
@@ -113,7 +102,7 @@ def _table_lines(difference: RecordingDifference) -> list[str]:
 
 
 def _aligned(row: Sequence[str], widths: Iterable[int]) -> list[str]:
-    """The cells padded to ``widths``: the two columns of text on the left, numbers on the right."""
+    """The cells padded to ``widths``: the first two columns to the left, numbers to the right."""
     return [
         cell.ljust(width) if column < 2 else cell.rjust(width)
         for column, (cell, width) in enumerate(zip(row, widths, strict=True))

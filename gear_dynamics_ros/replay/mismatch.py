@@ -1,4 +1,4 @@
-"""What of a re-simulation must be as it was recorded: messages, events and states, compared bit by bit."""
+"""Compares messages, events and states of a re-simulation with the recorded ones, bit by bit."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from gear_dynamics_ros.topics import is_rows
 
 
 class Mismatch(NamedTuple):
-    """The first value that came out otherwise; None where there is none on that side."""
+    """The first value that differs; a side that has no value is None."""
 
     sample: int
-    what: str  # channel, topic and entry, or entry of a state
+    what: str  # channel, topic with entry, or entry of a state
     recorded: object
     simulated: object
 
@@ -31,36 +31,39 @@ class Mismatch(NamedTuple):
 
 
 def compare_message(recorded: RecordedChunk, topic: str, simulated: bytes | None) -> Mismatch | None:
-    """Compare a chunk's message on ``topic`` with the one that was made now."""
+    """Compare the recorded message of a chunk on ``topic`` with the simulated one.
+
+    Raises GearboxError if they differ and the recorded one is damaged.
+    """
     stored = recorded.messages.get(topic)
     if stored is None and simulated is None:
         return None
     if stored is None or simulated is None:
         there, missing = "a message", "no message"
         return Mismatch(recorded.first, topic, there if stored else missing, there if simulated else missing)
-    theirs = bytes(stored)  # memory views compare byte by byte
+    theirs = bytes(stored)  # much faster to compare than a memory view
     if theirs == simulated:
         return None
     if is_rows(topic):
-        return _unlike_rows(recorded, topic, theirs, simulated)
-    return _unlike_bytes(recorded.first, topic, theirs, simulated)
+        return _row_mismatch(recorded, topic, theirs, simulated)
+    return _byte_mismatch(recorded.first, topic, theirs, simulated)
 
 
-def _unlike_rows(recorded: RecordedChunk, topic: str, theirs: bytes, ours: bytes) -> Mismatch:
-    """Where two messages of rows differ. Raises GearboxError if the recorded one is spoilt."""
+def _row_mismatch(recorded: RecordedChunk, topic: str, theirs: bytes, ours: bytes) -> Mismatch:
+    """First difference between two messages of rows."""
     then, now = (recorded.decoder.rows(topic, recorded.time_ns, data) for data in (theirs, ours))
     names = recorded.channels if topic == "waveform" else ROW_NAMES[topic]
     common = min(len(then), len(now))
-    unlike = _bits(then[:common]) != _bits(now[:common])
-    if not unlike.any():
+    differs = _bits(then[:common]) != _bits(now[:common])
+    if not differs.any():
         return Mismatch(recorded.first + common, topic, f"{len(then)} rows", f"{len(now)} rows")
-    row, column = divmod(int(unlike.argmax()), unlike.shape[1])
+    row, column = divmod(int(differs.argmax()), differs.shape[1])
     what = names[column] if topic == "waveform" else f"{topic}: {names[column]}"
     sample = recorded.first + row if topic == "waveform" else recorded.first
     return Mismatch(sample, what, float(then[row, column]), float(now[row, column]))
 
 
-def _unlike_bytes(first: int, topic: str, theirs: bytes, ours: bytes) -> Mismatch:
+def _byte_mismatch(first: int, topic: str, theirs: bytes, ours: bytes) -> Mismatch:
     common = min(len(theirs), len(ours))
     byte = next((i for i in range(common) if theirs[i] != ours[i]), common)
     return Mismatch(first, f"{topic}: byte {byte}", theirs[byte:].hex()[:16], ours[byte:].hex()[:16])
@@ -71,22 +74,22 @@ def _bits(rows: np.ndarray[Any, np.dtype[np.float64]]) -> np.ndarray[Any, np.dty
 
 
 def compare_state(engine: Engine, stored: Checkpoint) -> Mismatch | None:
-    """Compare where the engine has come with the checkpoint that was stored there."""
+    """Compare parameters, commands and state of ``engine`` with a stored checkpoint."""
     if stored.status is not Status.RUNNING and engine.status is Status.RUNNING:
-        # It ended without a sample, in a chunk of which nothing was recorded.
+        # The run ended in a chunk without samples, which was not recorded.
         engine.advance(1)
     for name, value in differences(engine.parameters, stored.parameters).items():
         return Mismatch(engine.sample, f"parameter {name}", value, engine.parameters.to_flat()[name])
     theirs, ours = _entries(stored), _entries(engine.checkpoint())
     for name in sorted(theirs.keys() | ours.keys()):
-        # The text of a double that JSON keeps is that of no other.
+        # As JSON text: different doubles, also -0.0 and 0.0, have different texts.
         if json.dumps(theirs.get(name)) != json.dumps(ours.get(name)):
             return Mismatch(engine.sample, f"state {name}", theirs.get(name), ours.get(name))
     return None
 
 
 def _entries(checkpoint: Checkpoint) -> dict[str, Any]:
-    """Entries by dotted name, but for the parameters."""
+    """Entries of a checkpoint by dotted name, without the parameters."""
     return {
         "sample": checkpoint.sample,
         "status": int(checkpoint.status),
@@ -96,19 +99,20 @@ def _entries(checkpoint: Checkpoint) -> dict[str, Any]:
 
 
 def compare_event(engine: Engine, event: OperatorEvent) -> Mismatch | None:
-    """Compare what an event tells besides."""
+    """Compare time, counters and details of a recorded event with the present state of ``engine``."""
     what = f"event {event.kind}"
     details = {
         CHANGE: bool(event.parameters),
         RESTORE: bool(event.checkpoint),
-        TIMEOUT: bool(event.commands) or event.kind == TIMEOUT,  # one that holds commands has none
+        TIMEOUT: bool(event.commands)
+        or event.kind == TIMEOUT,  # a time-out that holds commands has no details
     }
     if event.kind not in EVENTS or any(there != (kind == event.kind) for kind, there in details.items()):
         return Mismatch(event.sample, what, "details of another kind", "its own")
     now = event.sample * engine.parameters.solver.sample_interval_ns / 1e9
     if event.time != now:
         return Mismatch(event.sample, f"{what}: time", event.time, now)
-    # A run that ended within a chunk without a sample has counted there what is made again only later.
+    # If the run ended in a chunk without samples, its counters include steps that are repeated only later.
     if event.kind != END and event.counters != engine.counters:
         return Mismatch(event.sample, f"{what}: counters", event.counters, engine.counters)
     if event.kind == TIMEOUT:

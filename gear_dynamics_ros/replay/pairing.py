@@ -1,4 +1,4 @@
-"""Two recordings side by side: the samples and channels that both have, and under what each was made."""
+"""Pairs two recordings: common samples and channels, differing parameters, commands and events."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from gear_dynamics_ros.recording.reader import Recording
 
 BY_TIME: Final = "time"
 BY_START: Final = "start"
-ACTING: Final = (RESET, CHANGE, RESTORE)  # events that act on the model
+COMPARED_EVENTS: Final = (RESET, CHANGE, RESTORE)  # those that act on the model
 
 
-class Ends(NamedTuple):
-    """How many samples of a window one recording has before and after those that both have."""
+class ExtraSamples(NamedTuple):
+    """Number of samples that one recording has before and after the common ones, within the window."""
 
     before: int
     after: int
 
 
 class CommandDifference(NamedTuple):
-    """Commands in force from ``sample`` on, None where a recording tells of none."""
+    """Commands in force from ``sample`` on; None if a recording has none yet."""
 
     sample: int
     a: Commands | None
@@ -37,15 +37,16 @@ class CommandDifference(NamedTuple):
 class Pair(NamedTuple):
     """Recordings A and B; sample n of A is compared with sample n + ``shift`` of B.
 
-    Samples are numbered as in A. Those compared are [first, beyond), ``ends`` what A and B have besides.
+    The samples ``first`` to before ``end`` are compared, numbered as in A. ``extra`` are further samples of A
+    and of B.
     """
 
     a: Recording
     b: Recording
     shift: int
     first: int
-    beyond: int
-    ends: tuple[Ends, Ends]
+    end: int
+    extra: tuple[ExtraSamples, ExtraSamples]
 
     @property
     def interval(self) -> float:
@@ -54,63 +55,70 @@ class Pair(NamedTuple):
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Channels that both have, in the order of A; not time where it is shifted."""
+        """Channels that both have, in the order of A; without ``time`` if B is shifted."""
         theirs = set(self.b.channel_names) - ({"time"} if self.shift else set())
         return tuple(name for name in self.a.channel_names if name in theirs)
 
     @property
-    def lone_channels(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Channels that A alone has, and those that B alone has."""
+    def extra_channels(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Channels that only A has, and those that only B has."""
         ours, theirs = self.a.channel_names, self.b.channel_names
         return (
             tuple(name for name in ours if name not in theirs),
             tuple(name for name in theirs if name not in ours),
         )
 
-    def stretches(self, channels: Sequence[str]) -> Iterator[tuple[Samples, Samples]]:
-        """The samples compared, from A and from B, piece by piece of the same length.
+    def blocks(self, channels: Sequence[str]) -> Iterator[tuple[Samples, Samples]]:
+        """The common samples of A and of B, in blocks of equal length.
 
-        Raises GearboxError where one of them is spoilt or has a gap.
+        Raises GearboxError if one of them is damaged or has a gap.
         """
-        yield from side_by_side(
-            self.a.pieces(self.first, self.beyond, channels),
-            self.b.pieces(self.first + self.shift, self.beyond + self.shift, channels),
+        yield from equal_blocks(
+            self.a.pieces(self.first, self.end, channels),
+            self.b.pieces(self.first + self.shift, self.end + self.shift, channels),
         )
 
     def parameters(self) -> dict[str, tuple[object, object]]:
-        """Parameters at the start that differ, by dotted name: in A, in B."""
+        """Parameters at the start that differ, by dotted name: value in A, value in B."""
         ours = self.a.parameters.to_flat()
         changed = differences(self.a.parameters, self.b.parameters)
         return {name: (ours[name], value) for name, value in changed.items()}
 
     def commands(self) -> list[CommandDifference]:
-        """Where, among the samples compared, commands in force come to differ, or differ otherwise."""
+        """Commands that differ, from each common sample on at which one of the two changes.
+
+        Raises GearboxError if a recording is damaged.
+        """
         ours = self.a.commands
         theirs = [(sample - self.shift, values) for sample, values in self.b.commands]
-        at = sorted({min(max(n, self.first), self.beyond) for n, _ in ours + theirs} | {self.first})
-        found = [
-            CommandDifference(n, _in_force(ours, n), _in_force(theirs, n)) for n in at if n < self.beyond
+        inside = {max(sample, self.first) for sample, _ in ours + theirs if sample < self.end}
+        changes = [
+            CommandDifference(sample, _in_force(ours, sample), _in_force(theirs, sample))
+            for sample in sorted(inside | {self.first})
         ]
-        return [entry for entry in found if entry.a != entry.b]
+        return [change for change in changes if change.a != change.b]
 
     def events(self) -> tuple[list[OperatorEvent], list[OperatorEvent]]:
-        """Resets, restores and changes of parameters among the samples compared that A or B alone has."""
-        ours, theirs = self._acted(self.a, 0), self._acted(self.b, self.shift)
+        """Resets, restores and changes of parameters that only A has, and those that only B has.
+
+        Only those at common samples. Raises GearboxError if a recording is damaged.
+        """
+        ours, theirs = self._compared_events(self.a, 0), self._compared_events(self.b, self.shift)
         return _without(ours, theirs), _without(theirs, ours)
 
-    def _acted(self, recording: Recording, shift: int) -> list[OperatorEvent]:
+    def _compared_events(self, recording: Recording, shift: int) -> list[OperatorEvent]:
         shifted = (
             event._replace(sample=event.sample - shift, time=(event.sample - shift) * self.interval)
             for event in recording.events
-            if event.kind in ACTING
+            if event.kind in COMPARED_EVENTS
         )
-        return [event for event in shifted if self.first <= event.sample < self.beyond]
+        return [event for event in shifted if self.first <= event.sample < self.end]
 
 
 def pair(a: Recording, b: Recording, align: str, start: float | None, end: float | None) -> Pair:
     """A and B at times in [start, end) s of A, aligned BY_TIME or BY_START.
 
-    Raises UsageError if their sample intervals differ or nothing is in common.
+    Raises UsageError if their sample intervals differ or they have no samples or channels in common.
     """
     if a.sample_interval_ns != b.sample_interval_ns:
         raise UsageError(
@@ -119,26 +127,28 @@ def pair(a: Recording, b: Recording, align: str, start: float | None, end: float
             "compare recordings made with the same"
         )
     shift = b.first_sample - a.first_sample if align == BY_START else 0
-    ours = a.first_sample, a.end_sample
-    theirs = b.first_sample - shift, b.end_sample - shift
-    (low, high), (other_low, other_high) = (
-        (
-            first if start is None else max(first, a.sample_at(start)),
-            beyond if end is None else min(beyond, a.sample_at(end)),
-        )
-        for first, beyond in (ours, theirs)
-    )
-    first, beyond = max(low, other_low), min(high, other_high)
-    if first >= beyond:
+    low = None if start is None else a.sample_at(start)
+    high = None if end is None else a.sample_at(end)
+    ours = _clip(a.first_sample, a.end_sample, low, high)
+    theirs = _clip(b.first_sample - shift, b.end_sample - shift, low, high)
+    first, end_sample = max(ours[0], theirs[0]), min(ours[1], theirs[1])
+    if first >= end_sample:
         raise UsageError(_nothing_shared(a, b, align, start, end))
-    ends = tuple(
-        Ends(max(first - begin, 0), max(stop - beyond, 0))
-        for begin, stop in ((low, high), (other_low, other_high))
-    )
-    found = Pair(a, b, shift, first, beyond, (ends[0], ends[1]))
-    if not found.channels:
+    extra = _extra(ours, first, end_sample), _extra(theirs, first, end_sample)
+    both = Pair(a, b, shift, first, end_sample, extra)
+    if not both.channels:
         raise UsageError(f"{a.path} and {b.path} have no channel in common but the time")
-    return found
+    return both
+
+
+def _clip(first: int, end: int, low: int | None, high: int | None) -> tuple[int, int]:
+    """The part of the samples [first, end) in [low, high)."""
+    return first if low is None else max(first, low), end if high is None else min(end, high)
+
+
+def _extra(samples: tuple[int, int], first: int, end: int) -> ExtraSamples:
+    """What the range ``samples`` has before ``first`` and from ``end`` on."""
+    return ExtraSamples(max(first - samples[0], 0), max(samples[1] - end, 0))
 
 
 def _nothing_shared(a: Recording, b: Recording, align: str, start: float | None, end: float | None) -> str:
@@ -154,7 +164,8 @@ def _nothing_shared(a: Recording, b: Recording, align: str, start: float | None,
     return f"no sample in common: {spans}{remedy}"
 
 
-def side_by_side(left: Iterator[Samples], right: Iterator[Samples]) -> Iterator[tuple[Samples, Samples]]:
+def equal_blocks(left: Iterator[Samples], right: Iterator[Samples]) -> Iterator[tuple[Samples, Samples]]:
+    """The samples of both, divided into blocks of equal length, up to the end of the shorter one."""
     ours, theirs = next(left, None), next(right, None)
     while ours is not None and theirs is not None:
         count = min(len(ours), len(theirs))
@@ -173,16 +184,17 @@ def _in_force(commands: Sequence[tuple[int, Commands]], sample: int) -> Commands
 
 
 def _without(events: Sequence[OperatorEvent], others: Sequence[OperatorEvent]) -> list[OperatorEvent]:
-    there = Counter(map(_deed, others))
-    left = []
+    """``events`` without those that ``others`` has too."""
+    matches = Counter(map(_effect, others))
+    rest = []
     for event in events:
-        if there[_deed(event)]:
-            there[_deed(event)] -= 1
+        if matches[_effect(event)]:
+            matches[_effect(event)] -= 1
         else:
-            left.append(event)
-    return left
+            rest.append(event)
+    return rest
 
 
-def _deed(event: OperatorEvent) -> str:
-    """What an event did and when, to compare by."""
+def _effect(event: OperatorEvent) -> str:
+    """Sample, kind and effect of an event, as text to compare."""
     return json.dumps([event.sample, event.kind, dict(event.parameters), dict(event.checkpoint)])

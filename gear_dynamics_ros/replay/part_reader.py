@@ -1,4 +1,4 @@
-"""One file of a recording as a re-simulation needs it: its chunks, what acted, and what was told."""
+"""One part of a recording as a re-simulation needs it: its chunks, its actions, and its inputs."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.digest import INPUT_TOPICS, RunningDigest
 from gear_dynamics_ros.recording.parts import StoredMessage
 from gear_dynamics_ros.recording.reader import Recording
-from gear_dynamics_ros.topics import COMMAND_TOPICS, OF_A_CHUNK, TOPICS
+from gear_dynamics_ros.topics import CHUNK_TOPICS, COMMAND_TOPICS, TOPICS
 
 T = TypeVar("T")
 
 
 class RecordedChunk(NamedTuple):
-    """What a chunk made, as it was recorded."""
+    """The recorded messages of one chunk."""
 
     first: int  # sample
     samples: int
@@ -33,19 +33,19 @@ class RecordedChunk(NamedTuple):
     decoder: MessageDecoder
 
 
-class AskedCommands(NamedTuple):
-    """What a message on a command topic asked for."""
+class RequestedCommands(NamedTuple):
+    """The request of a message on a command topic."""
 
     topic: str  # key in TOPICS
     changes: Mapping[str, float]  # by field of Commands
 
 
-# What acts on a run, or was asked of it, before a sample is made.
-Action: TypeAlias = tuple[int, OperatorEvent | Commands | AskedCommands]
+# A sample, and what acted on the run, or was requested of it, before that sample.
+Action: TypeAlias = tuple[int, OperatorEvent | Commands | RequestedCommands]
 
 
 class PartReader:
-    """Part ``number`` of a recording."""
+    """Reads part ``number`` of a recording."""
 
     def __init__(self, recording: Recording, number: int) -> None:
         self.number = number
@@ -54,21 +54,27 @@ class PartReader:
         self._decoder = recording.decoder()
 
     @cached_property
-    def told(self) -> Sequence[StoredMessage]:
-        """The messages that no chunk made, in the order of the file, in memory."""
+    def inputs(self) -> Sequence[StoredMessage]:
+        """The messages that no chunk made, in the order of the file, in memory.
+
+        Raises GearboxError at a damaged chunk of the file.
+        """
         names = self._recording.topic_names
-        found = self.part.messages([names[key] for key in INPUT_TOPICS])
-        # Of their own, or each would keep the whole chunk that it stands in.
-        return [message._replace(data=memoryview(bytes(message.data))) for message in found]
+        messages = self.part.messages([names[key] for key in INPUT_TOPICS])
+        # Copies: a view would keep the whole chunk of the file in memory.
+        return [message._replace(data=memoryview(bytes(message.data))) for message in messages]
 
     def actions(self) -> list[Action]:
-        """What acted in the part, by sample; what was asked for stands behind what acted at its sample."""
-        # Commands act with the first sample of a chunk, after what happened before it.
+        """All actions in the part, by sample; requested commands follow what acted at their sample.
+
+        Raises GearboxError at an invalid message.
+        """
+        # Commands in force act from the first sample of a chunk, after the events before it.
         acted: list[Action] = [*self._within(self._events()), *self._within(self._applied())]
-        return sorted([*acted, *self._asked()], key=lambda action: action[0])
+        return sorted([*acted, *self._requested()], key=lambda action: action[0])
 
     def require_order(self) -> None:
-        """Raise GearboxError where the part is of another run, holds a state twice or goes back in time."""
+        """Raise GearboxError if the part is of another run, has a checkpoint twice or goes back in time."""
         path, first = self.part.path, self._recording.parts[0]
         if self.part.run != self._recording.run:
             raise GearboxError(f"{path} is of another run than {first.path.name}")
@@ -77,12 +83,15 @@ class PartReader:
         for name, count in names.items():
             if count > 1:
                 raise GearboxError(f"{path} holds {name} twice, or beside the start: one of them is wrong")
-        for earlier, later in pairwise(self.told):
+        for earlier, later in pairwise(self.inputs):
             if later.time_ns < earlier.time_ns:
                 raise GearboxError(f"{path} goes back in time with a message on {later.topic}")
 
-    def unrepeated(self) -> str:
-        """Key in TOPICS of what the part should repeat at its start, and does not; empty if none."""
+    def first_unrepeated_topic(self) -> str:
+        """The first latched topic (key in TOPICS) whose last message the part does not repeat at its start.
+
+        Empty if there is none.
+        """
         before = self._recording.parts[self.number - 1]
         for key, topic in TOPICS.items():
             name = self._recording.topic_names[key]
@@ -92,37 +101,37 @@ class PartReader:
                 return key
         return ""
 
-    def lacking(self) -> list[str]:
-        """Keys in TOPICS of what should be recorded in the part, and has no channel there."""
+    def missing_topics(self) -> list[str]:
+        """Topics (keys in TOPICS) that the parameters record and that have no channel in the part."""
         names = {channel.topic for channel in self.part.index.channels.values()}
-        wanted = layout.recorded_topics(parse_parameters(self.part.parameters), self._recording.node)
-        return [key for key, (name, _) in wanted.items() if name not in names]
+        expected = layout.recorded_topics(parse_parameters(self.part.parameters), self._recording.node)
+        return [key for key, (name, _) in expected.items() if name not in names]
 
-    def unlike_parameters(self) -> list[str]:
-        """Names of parameters that are not the same in parameters.yaml and start.json."""
+    def inconsistent_parameters(self) -> list[str]:
+        """Names of parameters that differ between parameters.yaml and start.json."""
         return list(
             differences(self.part.start.checkpoint.parameters, parse_parameters(self.part.parameters))
         )
 
-    def digest(self, opening: Sequence[str], told: Iterable[StoredMessage]) -> str:
-        """Digest of the messages ``told``, which the checkpoint behind them must carry.
+    def digest(self, opening: Sequence[str], inputs: Iterable[StoredMessage]) -> str:
+        """Digest that the next checkpoint must have.
 
-        ``opening`` names the attachments from which they lead there.
+        ``opening`` names the attachments of the checkpoint before; ``inputs`` are the messages in between.
         """
         contents = [self.part.attachment(name) for name in opening]
         run = [self.part.run.to_lines()] if layout.START_ATTACHMENT in opening else []
-        found = RunningDigest(*run, *contents)
-        for message in told:
-            found.add(*message)
-        return found.text()
+        digest = RunningDigest(*run, *contents)
+        for message in inputs:
+            digest.add(*message)
+        return digest.text()
 
     def chunks(self, first: int, end: int | None) -> Iterator[RecordedChunk]:
         """The chunks that begin at samples in [first, end).
 
-        Raises GearboxError where messages are not together as a chunk makes them.
+        Raises GearboxError if the messages of a chunk are not together or not of the same time.
         """
         path = self._recording.path
-        keys = {self._recording.topic_names[key]: key for key in OF_A_CHUNK}
+        keys = {self._recording.topic_names[key]: key for key in CHUNK_TOPICS}
         decoder = self._recording.decoder()
         gathered: dict[str, StoredMessage] = {}
         for message in self.part.messages(keys, self._recording.stamp_of(first)):
@@ -145,27 +154,27 @@ class PartReader:
             gathered = {}
 
     def _events(self) -> Iterator[tuple[int, OperatorEvent]]:
-        for _, time_ns, data in self._recording.without_repeated(self.number, "event", self.told):
+        for _, time_ns, data in self._recording.without_repeated(self.number, "event", self.inputs):
             event = self._decoder.event(time_ns, data)
             yield event.sample, event
 
     def _applied(self) -> Iterator[tuple[int, Commands]]:
-        for _, time_ns, data in self._recording.without_repeated(self.number, "applied_command", self.told):
+        for _, time_ns, data in self._recording.without_repeated(self.number, "applied_command", self.inputs):
             applied = self._decoder.applied(time_ns, data)
             yield self._recording.sample_of(applied.time_ns), applied.commands
 
-    def _asked(self) -> Iterator[tuple[int, AskedCommands]]:
-        """Commands as they came, at the samples from which they acted."""
+    def _requested(self) -> Iterator[tuple[int, RequestedCommands]]:
+        """Received commands, at the samples from which they acted."""
         keys = {self._recording.topic_names[key]: key for key in COMMAND_TOPICS}
-        for topic, time_ns, data in self.told:
+        for topic, time_ns, data in self.inputs:
             if topic in keys:
                 changes = self._decoder.changes(keys[topic], time_ns, data)
-                yield self._recording.sample_of(time_ns), AskedCommands(keys[topic], changes)
+                yield self._recording.sample_of(time_ns), RequestedCommands(keys[topic], changes)
 
-    def _within(self, found: Iterable[tuple[int, T]]) -> Iterator[tuple[int, T]]:
-        """What is of this part: all but a message of before, with which it may begin."""
+    def _within(self, actions: Iterable[tuple[int, T]]) -> Iterator[tuple[int, T]]:
+        """Those of ``actions`` in this part: it may begin with one message of an earlier part."""
         first = self.part.first_sample
-        for position, (sample, action) in enumerate(found):
+        for position, (sample, action) in enumerate(actions):
             if sample >= first:
                 yield sample, action
             elif position:

@@ -1,4 +1,4 @@
-"""What to play to a live gearbox from a recording: its commands alone, or all that was done to it."""
+"""Scripts for a running gearbox from a recording: its commands alone, or all that was done to it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gear_dynamics_ros.recording.reader import Recording
 
 # Parameters that are commands too: a recording has their changes among its commands.
 COMMAND_PARAMETERS = frozenset(f"operation.{name}" for name in Commands._fields)
-# Parameters that decide when chunks are computed, never their content; in lockstep the player decides that.
+# Parameters that decide when chunks are computed, not their content; in lockstep the client decides that.
 PACING_PREFIXES = ("pacing.", "stepping.")
 
 
@@ -36,7 +36,7 @@ ScriptAction: TypeAlias = ResetAction | ChangeAction
 
 @dataclass(frozen=True, slots=True)
 class ScriptStep:
-    """What is done, in this order, before the sample at ``time_ns`` is computed."""
+    """Actions, then commands, before the sample at ``time_ns`` is computed."""
 
     time_ns: int  # since the recording's first sample
     actions: tuple[ScriptAction, ...]
@@ -45,22 +45,22 @@ class ScriptStep:
 
 @dataclass(frozen=True, slots=True)
 class LockstepScript:
-    """What to do to a gearbox at which sample. The first step is at time 0."""
+    """Steps to perform on a gearbox at exact samples. The first step is at time 0."""
 
     duration_ns: int
     steps: tuple[ScriptStep, ...]
 
 
-def commands_of(recording: Recording) -> LockstepScript:
-    """The recording's commands at their times, without its resets and changes of parameters.
+def command_script(recording: Recording) -> LockstepScript:
+    """The commands of ``recording`` at their times, without its resets and changes of parameters.
 
     Raises UsageError if the recording has no samples.
     """
     return _script(recording, ())
 
 
-def script_of(recording: Recording) -> LockstepScript:
-    """The recording's commands, resets and changes of parameters at their times.
+def full_script(recording: Recording) -> LockstepScript:
+    """The commands, resets and changes of parameters of ``recording`` at their times.
 
     Raises UsageError if the recording has no samples.
     """
@@ -68,13 +68,13 @@ def script_of(recording: Recording) -> LockstepScript:
 
 
 def with_initial_reset(script: LockstepScript) -> LockstepScript:
-    """``script`` with a reset before everything else."""
+    """``script`` with a reset as its first action."""
     first, *others = script.steps
     return replace(script, steps=(replace(first, actions=(ResetAction(), *first.actions)), *others))
 
 
 def require_chunk_edges(script: LockstepScript, chunk_ns: int) -> None:
-    """Raise UsageError if a step is not at the start of a chunk, with chunks of ``chunk_ns``."""
+    """Raise UsageError if a step is not at the start of a chunk of ``chunk_ns``."""
     times = [step.time_ns for step in script.steps]
     inside = next((time_ns for time_ns in times if time_ns % chunk_ns), None)
     if inside is not None:
@@ -87,7 +87,7 @@ def require_chunk_edges(script: LockstepScript, chunk_ns: int) -> None:
 
 
 def skipped_by_commands(recording: Recording) -> Counter[str]:
-    """Number of events by kind that ``commands_of`` leaves out."""
+    """Number of events that ``command_script`` leaves out, by kind."""
     changes = [event for event in _events(recording, CHANGE) if event.parameters.keys() - COMMAND_PARAMETERS]
     return Counter(
         {
@@ -99,7 +99,7 @@ def skipped_by_commands(recording: Recording) -> Counter[str]:
 
 
 def skipped_by_script(recording: Recording) -> Counter[str]:
-    """Number of events by kind that ``script_of`` leaves out."""
+    """Number of events that ``full_script`` leaves out, by kind."""
     paced = [event for event in _events(recording, CHANGE) if any(map(_sets_pacing, event.parameters))]
     return Counter(
         {
@@ -110,7 +110,7 @@ def skipped_by_script(recording: Recording) -> Counter[str]:
 
 
 def starts_at_start_state(recording: Recording) -> bool:
-    """Whether the recording's first sample is the first after a start or a reset."""
+    """Whether the first sample of ``recording`` is the first after a start or a reset."""
     return bool(recording.start.state.get("steps") == 0)
 
 

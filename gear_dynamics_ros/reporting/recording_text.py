@@ -1,4 +1,4 @@
-"""What a recording contains, as text."""
+"""Content of a recording as text."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from gear_dynamics_ros.recording.parts import PartFile
 
 
 def recording_lines(bag: Recording) -> Iterator[str]:
-    """Version, samples, files, topics, commands and events of ``bag``. Reads all of them from its files."""
+    """Version, samples, parts, topics, commands and events of ``bag``, as lines of text.
+
+    Raises GearboxError at a damaged message.
+    """
     state = (
         "complete"
         if bag.complete
@@ -28,11 +31,7 @@ def recording_lines(bag: Recording) -> Iterator[str]:
     for topic in bag.topics:
         yield f"  {topic.messages:>8}  {topic.name}  {topic.type}"
     for sample, commands in bag.commands:
-        yield (
-            f"  command at {_seconds(bag, sample):.6f} s (sample {sample}): "
-            f"drive {commands.drive_torque:g} N m, load {commands.load_torque:g} N m, "
-            f"speed {commands.speed:g} rad/s"
-        )
+        yield f"  command at {_seconds(bag, sample):.6f} s (sample {sample}): {commands}"
     for event in bag.events:
         yield f"  {event.kind} at {event.time:.6f} s (sample {event.sample}) {_event_text(event)}".rstrip()
 

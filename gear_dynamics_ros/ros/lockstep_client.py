@@ -271,14 +271,14 @@ class _ScriptClient(GearboxClient):
         if not reported():
             raise GearboxError(
                 f"{self._name} did not put the commands of {moment.time_ns / 1e9:.9g} s in force: "
-                f"{_text(wanted)}; {_DOUBT}"
+                f"{wanted}; {_DOUBT}"
             )
 
     def _other_commands(self, found: _InForce) -> str:
         seconds = (found.stamp_ns - self._origin_ns) / 1e9
         return (
             f"{self._name} has commands in force from {seconds:.9g} s of the recording on that are not those "
-            f"of that moment: {_text(found.commands)}; {_DOUBT}"
+            f"of that moment: {found.commands}; {_DOUBT}"
         )
 
     def _set(self, values: Mapping[str, Any]) -> None:
@@ -334,10 +334,3 @@ class _ScriptClient(GearboxClient):
             f"{self._name} is there, but was not ready for {wait:g} s: it may be starting or inactive; see "
             "its log, or give a longer --wait"
         )
-
-
-def _text(commands: Commands) -> str:
-    return (
-        f"drive {commands.drive_torque:g} N m, load {commands.load_torque:g} N m, "
-        f"speed {commands.speed:g} rad/s"
-    )

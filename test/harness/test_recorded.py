@@ -23,7 +23,7 @@ CHUNK_NS = PARAMETERS.solver.samples_per_chunk * PARAMETERS.solver.sample_interv
 
 
 def profile_of(bag: recording.Recording) -> Profile:
-    script = publish.commands_of(bag)
+    script = publish.command_script(bag)
     commands = [(step.time_ns / 1e9, step.commands) for step in script.steps]
     return step_profile(f"commands of {bag.path}", script.duration_ns / 1e9, commands)
 
@@ -63,7 +63,7 @@ def test_a_profile_has_the_commands_in_force_at_every_time(eventful) -> None:
 
 
 def test_a_script_has_every_act_at_its_time(eventful) -> None:
-    script = publish.script_of(eventful)
+    script = publish.full_script(eventful)
     assert script.duration_ns == 10 * CHUNK_NS
     moments = [(m.time_ns // CHUNK_NS, m.actions, tuple(m.commands)) for m in script.steps]
     assert moments == [
@@ -93,7 +93,7 @@ def test_a_change_of_commands_alone_is_not_left_out(tmp_path: Path) -> None:
 def test_an_engine_given_the_script_makes_the_same_bits(eventful) -> None:
     engine = Engine(PARAMETERS)
     engine.advance(300)  # another start, which the reset undoes
-    script = publish.with_initial_reset(publish.script_of(eventful))
+    script = publish.with_initial_reset(publish.full_script(eventful))
     ends = [moment.time_ns for moment in script.steps[1:]] + [script.duration_ns]
     made = []
     for moment, end_ns in zip(script.steps, ends, strict=True):
@@ -115,7 +115,7 @@ def test_a_part_of_a_run_begins_at_its_own_first_sample(tmp_path: Path) -> None:
     bag = record(tmp_path / "bag", PARAMETERS, 6, act, begin=3)
     assert bag.first_sample == 600
     assert not publish.starts_at_start_state(bag)
-    script = publish.script_of(bag)
+    script = publish.full_script(bag)
     assert [(moment.time_ns, moment.commands.load_torque) for moment in script.steps] == [
         (0, 30.0),
         (CHUNK_NS, 20.0),
@@ -136,7 +136,7 @@ def test_a_recording_after_a_reset_begins_at_the_start_state(tmp_path: Path) -> 
 
 
 def test_a_moment_within_a_chunk_is_refused_with_the_chunk_that_fits(eventful) -> None:
-    script = publish.script_of(eventful)
+    script = publish.full_script(eventful)
     publish.require_chunk_edges(script, CHUNK_NS)
     publish.require_chunk_edges(script, 2 * CHUNK_NS)
     with pytest.raises(UsageError) as caught:
@@ -148,6 +148,6 @@ def test_a_moment_within_a_chunk_is_refused_with_the_chunk_that_fits(eventful) -
 
 def test_a_recording_without_samples_is_refused(tmp_path: Path) -> None:
     bag = record(tmp_path / "bag", PARAMETERS, 0, lambda run, chunk: None)
-    for make in (profile_of, publish.script_of):
+    for make in (profile_of, publish.full_script):
         with pytest.raises(UsageError, match="has no samples"):
             make(bag)

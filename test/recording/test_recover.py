@@ -229,7 +229,7 @@ def test_a_recording_cut_anywhere_recovers(bag: Path, samples: np.ndarray[Any, A
         kept = max((each.last for each in chunks[number] if each.end <= place), default=first)
         begin = first if alone else 0
         assert (report.samples, report.gaps, report.size) == (kept - begin, (), place if alone else at)
-        assert report.parts[-1].break_at <= place and report.described == alone
+        assert report.parts[-1].break_at <= place and report.metadata_found == alone
         if kept > begin:
             opened = recording.open(tmp_path / "whole")
             assert opened.complete and opened.first_sample == begin
@@ -246,7 +246,7 @@ def test_what_is_whole_is_copied_and_nothing_is_lost(
     bag: Path, samples: np.ndarray[Any, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     report = recovered(bag, tmp_path / "copy")
-    assert report.whole and report.described and all(part.finished for part in report.parts)
+    assert report.whole and report.metadata_found and all(part.finished for part in report.parts)
     assert report.messages == check_topics(bag) == check_files(tmp_path / "copy")
     assert report.span == (0, CHUNKS * ROWS)
     with Reader(tmp_path / "copy") as reader:

@@ -31,7 +31,7 @@ from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.replay.diff import compare_recordings
 from gear_dynamics_ros.replay.diff_files import channels_to_draw, write_difference
-from gear_dynamics_ros.replay.pairing import BY_START, BY_TIME, pair, side_by_side
+from gear_dynamics_ros.replay.pairing import BY_START, BY_TIME, equal_blocks, pair
 from gear_dynamics_ros.simulation.engine import Engine
 from support.chunks import record_odd
 from support.recordings import SHORT, following, record
@@ -154,7 +154,7 @@ def test_two_runs_against_whole_arrays(folder: Path) -> None:
     both = [recording.open(folder / name) for name in ("plain", "commanded")]
     found = pair(*both, BY_TIME, None, None)
     comparison = Comparison(found.channels)
-    for a, b in found.stretches(found.channels):
+    for a, b in found.blocks(found.channels):
         comparison.add(a.first, a.values, b.values)
     a, b = (bag.window() for bag in both)
     assert found.channels == CHANNEL_NAMES
@@ -325,11 +325,11 @@ def test_runs_of_other_times_can_be_aligned(
     assert replay_main(["diff", str(folder / "plain"), str(later)]) == 2
     assert "align" in capsys.readouterr().err
     both = (recording.open(folder / "plain"), recording.open(later))
-    assert pair(*both, BY_START, None, None).beyond == 30
+    assert pair(*both, BY_START, None, None).end == 30
 
 
 @pytest.mark.parametrize("lengths", [((5, 5), (3, 7)), ((10,), (1, 2, 3, 4)), ((4, 6), (4, 6))])
-def test_pieces_of_any_lengths_are_brought_side_by_side(
+def test_pieces_of_any_lengths_become_equal_blocks(
     lengths: tuple[tuple[int, ...], tuple[int, ...]],
 ) -> None:
     def pieces(counts: tuple[int, ...]) -> Any:
@@ -337,7 +337,7 @@ def test_pieces_of_any_lengths_are_brought_side_by_side(
         for count, end in zip(counts, ends, strict=True):
             yield Samples(int(end - count), 1.0, ("dte",), np.arange(end - count, end, dtype=float)[:, None])
 
-    met = [(a["dte"].tolist(), b["dte"].tolist(), a.first) for a, b in side_by_side(*map(pieces, lengths))]
+    met = [(a["dte"].tolist(), b["dte"].tolist(), a.first) for a, b in equal_blocks(*map(pieces, lengths))]
     assert all(ours == theirs and ours[0] == first for ours, theirs, first in met)
     assert [value for ours, _, _ in met for value in ours] == list(range(10))
 

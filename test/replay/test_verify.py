@@ -26,8 +26,9 @@ from gear_dynamics_ros.parameters import Parameters, change_values
 from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.recording.ring import Ring
-from gear_dynamics_ros.replay.verify import origins, verify_recording
+from gear_dynamics_ros.replay.verify import verify_recording
 from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.provenance import provenance_differences
 from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.topics import TOPICS, resolve
 from support import altering
@@ -609,10 +610,10 @@ def test_a_difference_is_told_with_both_values_and_what_else_differs(
 
 def test_another_processor_or_kernel_is_named(bag: Path) -> None:
     read = recording.open(bag)
-    assert origins(read) == []
+    assert provenance_differences(read.run.provenance) == []
     other = read.run.provenance._replace(processor="an abacus", kernel_hash="0" * 64)
     read.run = read.run._replace(provenance=other)
-    kernel, processor = origins(read)
+    kernel, processor = provenance_differences(read.run.provenance)
     assert kernel.startswith("kernel hash: recorded by 000")
     assert processor.startswith("processor: recorded by an abacus, this is ")
 

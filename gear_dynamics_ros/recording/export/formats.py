@@ -1,4 +1,4 @@
-"""Tables as files that other programs read: CSV, NumPy and Parquet. Every number keeps its bits."""
+"""Writes tables as CSV, NumPy and Parquet files, without loss of precision."""
 
 from __future__ import annotations
 
@@ -20,33 +20,33 @@ from gear_dynamics_ros.recording.export.tables import (
     row_type,
 )
 
-# A reader decompresses a whole row group to get at one row, and pays for each group that it opens.
+# A reader decompresses a whole row group for one row, and opening a group takes time.
 ROW_GROUP: Final = 60_000
-# As text and as objects numbers take ten times their room.
+# Numbers as text and as Python objects take ten times the memory.
 CSV_ROWS: Final = 1_000
 
 
 class TableFile(Protocol):
-    """A table on its way into an open file. Raises OSError where a write fails."""
+    """A table that is written to an open file. Methods raise OSError if a write fails."""
 
     def write(self, rows: NDArray[Any]) -> None:
         """Append ``rows``, a structured array with a field for each column."""
 
     def finish(self) -> None:
-        """Write what is still held back and what the format puts at the end."""
+        """Write rows that are still in memory, and the end of the file."""
 
     def abandon(self) -> None:
-        """Write no more: the file will be thrown away."""
+        """Stop writing: the file will be discarded."""
 
 
-# From an open file, the columns, and what is to be told of the table's origin.
+# Makes a TableFile from an open file, the columns, and texts about the origin of the table.
 Maker = Callable[[BinaryIO, Sequence[TableColumn], Mapping[str, str]], TableFile]
 
 
 class CsvFile:
-    """Names of the columns in the first line; the shortest decimal that reads back to the same bits.
+    """CSV: names of the columns in the first line; numbers as the shortest decimals that give the same bits.
 
-    NaN, whichever it was, is ``nan``.
+    Every NaN is ``nan``.
     """
 
     def __init__(self, stream: BinaryIO, columns: Sequence[TableColumn], _: Mapping[str, str]) -> None:
@@ -70,9 +70,9 @@ class CsvFile:
 
 
 class NpyFile:
-    """One structured array. Raises UsageError where a column holds text.
+    """NPY: one structured array. Raises UsageError if a column holds text.
 
-    Written piece by piece: a full disk is an error there, in a memory map it is the end of the process.
+    Written row by row, not by a memory map: there a full disk would kill the process.
     """
 
     def __init__(self, stream: BinaryIO, columns: Sequence[TableColumn], _: Mapping[str, str]) -> None:
@@ -98,7 +98,7 @@ class NpyFile:
         pass
 
     def _write_header(self) -> None:
-        # NumPy leaves room for the count to grow, so that the header keeps its length.
+        # NumPy reserves space for a larger count, so the length of the header does not change.
         header = {
             "descr": npy.dtype_to_descr(self._type),
             "fortran_order": False,
@@ -108,7 +108,10 @@ class NpyFile:
 
 
 class ParquetFile:
-    """Units and meanings with the columns, ``about`` with the schema; needs pyarrow, else UsageError."""
+    """Parquet: with unit and meaning in the metadata of each column, and ``about`` in that of the schema.
+
+    Raises UsageError if pyarrow can't be imported.
+    """
 
     def __init__(self, stream: BinaryIO, columns: Sequence[TableColumn], about: Mapping[str, str]) -> None:
         try:
@@ -139,7 +142,7 @@ class ParquetFile:
             self._schema,
             compression="zstd",
             use_dictionary=texts,
-            # The like bytes of doubles side by side: a third smaller, and faster than a dictionary.
+            # Stores bytes of equal significance together: a third smaller, and faster than a dictionary.
             use_byte_stream_split=[column.name for column in columns if column.type != TEXT],
         )
 
@@ -155,7 +158,7 @@ class ParquetFile:
         self._writer.close()
 
     def abandon(self) -> None:
-        # Else it tries to complete the file once more when it is forgotten.
+        # Otherwise its destructor would try to complete the file.
         self._writer.is_open = False
 
     def _write_group(self) -> None:

@@ -1,4 +1,4 @@
-"""What a recording holds as tables of named columns, block by block."""
+"""Content of a recording as tables of named columns, block by block."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ class TableColumn(NamedTuple):
 
 
 class RowBlock(NamedTuple):
-    """Some rows, a structured array with a field for each column, and up to which sample that is all."""
+    """Consecutive rows of a table."""
 
-    rows: NDArray[Any]
-    beyond: int
+    rows: NDArray[Any]  # structured, a field for each column
+    end_sample: int  # all rows before this sample are in this block or in an earlier one
 
 
 class ExportTable(NamedTuple):
-    """Columns, and the blocks of rows in their order, each made when it is asked for."""
+    """Columns, and blocks of rows in order, each read when it is needed."""
 
     columns: tuple[TableColumn, ...]
     blocks: Iterator[RowBlock]
@@ -63,27 +63,27 @@ def row_type(columns: Sequence[TableColumn]) -> np.dtype[np.void]:
 def waveform_table(
     recording: Recording, start: float | None, end: float | None, channels: Sequence[str] | None
 ) -> ExportTable:
-    """Every sample at times in [start, end) s: its index and time first, then ``channels`` (default: all).
+    """Every sample at times in [start, end) s: its index, its time, then ``channels`` (default: all).
 
-    Raises UsageError on a channel that is not there or is named twice, and on a window without samples;
-    GearboxError if the whole recording has none.
+    Raises UsageError on an unknown channel, one that is named twice, and a window without samples;
+    GearboxError if the recording has no samples.
     """
-    first, beyond = recording.require_window(start, end)
-    if first == beyond:
+    first, end_sample = recording.require_window(start, end)
+    if first == end_sample:
         raise GearboxError(f"{recording.path} holds no samples: nothing to export")
-    wanted = recording.channel_names if channels is None else tuple(channels)
-    for name in wanted:
-        if wanted.count(name) > 1:
-            raise UsageError(f"the channel '{name}' is named {wanted.count(name)} times: name it once")
-    names = ("time", *(name for name in wanted if name != "time"))
+    selected = recording.channel_names if channels is None else tuple(channels)
+    for name in selected:
+        if selected.count(name) > 1:
+            raise UsageError(f"the channel '{name}' is named {selected.count(name)} times: name it once")
+    names = ("time", *(name for name in selected if name != "time"))
     recording.columns(names)
     known = {channel.name: channel for channel in (*CHANNELS, *ENERGIES)}
     columns = (SAMPLE, *(_number(known[name]) for name in names))
-    return ExportTable(columns, _waveform_blocks(recording, first, beyond, names, row_type(columns)))
+    return ExportTable(columns, _waveform_blocks(recording, first, end_sample, names, row_type(columns)))
 
 
 def impacts_table(recording: Recording, start: float | None, end: float | None) -> ExportTable:
-    """Bearing contacts that ended at times in [start, end) s."""
+    """Bearing contacts that ended at times in [start, end) s. Raises UsageError as ``waveform_table``."""
     recording.require_window(start, end)
     columns = tuple(map(_number, IMPACTS))
     low, high = -math.inf if start is None else start, math.inf if end is None else end
@@ -91,7 +91,7 @@ def impacts_table(recording: Recording, start: float | None, end: float | None) 
 
 
 def energy_table(recording: Recording, start: float | None, end: float | None) -> ExportTable:
-    """Works, losses and stored energies at the end of each chunk; ``sample`` is the next to be made."""
+    """Work, losses and stored energies after each chunk in [start, end) s; ``sample`` is the next one."""
     columns = (SAMPLE, TIME, *map(_number, ENERGIES))
     return ExportTable(columns, _energy_blocks(recording, _inside(recording, start, end), row_type(columns)))
 
@@ -107,11 +107,11 @@ def commands_table(recording: Recording, start: float | None, end: float | None)
 
 
 def events_table(recording: Recording, start: float | None, end: float | None) -> ExportTable:
-    """Events at times in [start, end) s; without the state that a restore brought."""
+    """Operator events at times in [start, end) s, without the checkpoint of a restore."""
     inside = _inside(recording, start, end)
-    found = [event for event in recording.events if inside(event.sample)]
-    columns = (SAMPLE, TIME, *HAPPENING, *COUNTERS)
-    rows = (_event_row(event) for event in found)
+    events = [event for event in recording.events if inside(event.sample)]
+    columns = (SAMPLE, TIME, *EVENT, *COUNTERS)
+    rows = (_event_row(event) for event in events)
     return ExportTable(columns, _listed(recording, rows, row_type(columns)))
 
 
@@ -121,7 +121,7 @@ COMMANDS: Final = tuple(
     TableColumn(name, unit, "commanded", NUMBER)
     for name, unit in zip(Commands._fields, ("N m", "N m", "rad/s"), strict=True)
 )
-HAPPENING: Final = (
+EVENT: Final = (
     TableColumn("event", "", "what happened before the sample was made", TEXT),
     TableColumn("message", "", "why", TEXT),
     TableColumn("parameters", "", "JSON: parameters that changed, by dotted name", TEXT),
@@ -130,14 +130,14 @@ COUNTERS: Final = tuple(
     TableColumn(f"counted_{name}", "", f"{name} since the start of the run", INTEGER)
     for name in Counters._fields
 )
-OTHERS: Final[Mapping[str, Callable[[Recording, float | None, float | None], ExportTable]]] = {
+OTHER_TABLES: Final[Mapping[str, Callable[[Recording, float | None, float | None], ExportTable]]] = {
     "impacts": impacts_table,
     "commands": commands_table,
     "events": events_table,
     "energy": energy_table,
 }
 WAVEFORM: Final = "waveform"
-NAMES: Final = (WAVEFORM, *OTHERS)
+TABLE_NAMES: Final = (WAVEFORM, *OTHER_TABLES)
 
 
 def _number(channel: Channel) -> TableColumn:
@@ -149,7 +149,7 @@ def _time(recording: Recording, sample: int) -> float:
 
 
 def _inside(recording: Recording, start: float | None, end: float | None) -> Callable[[int], bool]:
-    """Whether a sample, which may be the one after the last, is at a time in [start, end)."""
+    """A function that says whether a sample is at a time in [start, end) s; it may be the end sample."""
     recording.require_window(start, end)
     low = -sys.maxsize if start is None else recording.sample_at(start)
     high = sys.maxsize if end is None else recording.sample_at(end)
@@ -157,9 +157,9 @@ def _inside(recording: Recording, start: float | None, end: float | None) -> Cal
 
 
 def _waveform_blocks(
-    recording: Recording, first: int, beyond: int, names: Sequence[str], dtype: np.dtype[np.void]
+    recording: Recording, first: int, end_sample: int, names: Sequence[str], dtype: np.dtype[np.void]
 ) -> Iterator[RowBlock]:
-    for samples in recording.pieces(first, beyond, names):
+    for samples in recording.pieces(first, end_sample, names):
         end = samples.first + len(samples)
         yield RowBlock(_rows(np.arange(samples.first, end), samples.values, dtype), end)
 
@@ -186,7 +186,7 @@ def _energy_blocks(
 def _rows(
     samples: NDArray[np.int64], values: NDArray[np.float64], dtype: np.dtype[np.void]
 ) -> NDArray[np.void]:
-    """Rows of indexes (n,) and what follows them (n, k), all of eight bytes."""
+    """Rows from indexes (n,) and values (n, k), all of eight bytes."""
     rows = np.empty((len(values), 1 + values.shape[1]))
     rows.view(np.int64)[:, 0] = samples
     rows[:, 1:] = values

@@ -1,4 +1,4 @@
-"""Exports a table of a recording to a file, which is there whole or not at all."""
+"""Exports a table of a recording to a new file, which appears whole or not at all."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gear_dynamics_ros.system.files import new_file
 
 
 class Exported(NamedTuple):
-    """What an export wrote."""
+    """Size of an exported table."""
 
     rows: int
     columns: int
@@ -33,13 +33,13 @@ def export_table(
     end: float | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Exported:
-    """Write ``table``, one of tables.NAMES, at times in [start, end) s to a new file at ``path``.
+    """Write ``table``, one of TABLE_NAMES, at times in [start, end) s to the new file ``path``.
 
     ``format`` is one of FORMATS, by default the suffix of ``path``; ``channels`` are those of the waveform.
-    Holds a few blocks of rows at a time. The rows go to ``path`` with ``.part`` behind its name, which is
-    renamed when all of it is on the disk and removed if anything fails. ``progress`` is called with the
-    number of samples done. Raises UsageError if the file exists or the request can't be met, GearboxError
-    if the recording is spoilt or the file can't be written.
+    Holds a few blocks of rows in memory. Writes to ``path`` with ``.part`` behind its name; renames that file
+    when it is complete on the disk, and removes it if anything fails. ``progress`` is called with the index
+    of the sample up to which all rows are written. Raises UsageError if the file exists or the request is
+    invalid, GearboxError if the recording is damaged or the file can't be written.
     """
     make = FORMATS[format or _suffix(path)]
     chosen = _select(recording, table, channels, start, end)
@@ -70,11 +70,11 @@ def _select(
         raise UsageError(
             f"channels are columns of the table {tables.WAVEFORM}, not of {table}: leave them out"
         )
-    return tables.OTHERS[table](recording, start, end)
+    return tables.OTHER_TABLES[table](recording, start, end)
 
 
 def _about(recording: Recording, table: str) -> dict[str, str]:
-    """What a file that has room for it says of where it is from."""
+    """Texts about the origin of the table, for formats that can store them."""
     return {
         "table": table,
         "recording": recording.path.name,
@@ -103,7 +103,7 @@ def _write(
             file.write(block.rows)
             rows += len(block.rows)
             if progress is not None:
-                progress(block.beyond)
+                progress(block.end_sample)
         file.finish()
     except BaseException:
         file.abandon()

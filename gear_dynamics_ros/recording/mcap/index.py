@@ -1,4 +1,4 @@
-"""Where everything in an MCAP file is: by the file's own summary, or by reading a broken file through."""
+"""Index of an MCAP file: from its own summary, or made by reading through a broken file."""
 
 from __future__ import annotations
 
@@ -43,29 +43,29 @@ _ENDING_BYTES: Final = _FOOTER.size + _CHECKSUM.size + len(MCAP0_MAGIC)
 
 @dataclass
 class FileIndex:
-    """Where everything in an MCAP file is."""
+    """Positions of all records of an MCAP file."""
 
-    complete: bool  # the file ends with its own summary
+    complete: bool  # whether the file ends with its own summary
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
-    chunks: list[ChunkIndex] = field(default_factory=list)  # offsets inside are 0 where a broken file is read
+    chunks: list[ChunkIndex] = field(default_factory=list)  # of a broken file, with message offsets 0
     attachments: list[AttachmentIndex] = field(default_factory=list)
     metadata: list[MetadataIndex] = field(default_factory=list)
     counts: dict[int, int] = field(default_factory=dict)  # channel -> messages
-    end: int = 0  # where the last whole record of data ends
+    end: int = 0  # offset of the byte after the last whole record of data
 
     @property
     def start_ns(self) -> int:
-        """Time of the first message, 0 if there is none."""
+        """Stamp of the first message, ns; 0 if there is none."""
         return min((chunk.message_start_time for chunk in self.chunks), default=0)
 
     @property
     def end_ns(self) -> int:
-        """Time of the last message, 0 if there is none."""
+        """Stamp of the last message, ns; 0 if there is none."""
         return max((chunk.message_end_time for chunk in self.chunks), default=0)
 
     def topic_counts(self) -> dict[str, int]:
-        """Messages on each topic, which may have several channels."""
+        """Number of messages by topic; a topic may have several channels."""
         counts: dict[str, int] = {}
         for number, channel in self.channels.items():
             counts[channel.topic] = counts.get(channel.topic, 0) + self.counts.get(number, 0)
@@ -73,9 +73,9 @@ class FileIndex:
 
 
 def read_index(stream: BinaryIO) -> FileIndex:
-    """Index of an MCAP file open for reading; of a broken one, up to its first spoilt chunk.
+    """Index of an MCAP file open for reading; of a broken file, up to its first damaged chunk.
 
-    Raises GearboxError if it is no MCAP file at all or can't be read.
+    Raises GearboxError if it is not an MCAP file or can't be read.
     """
     if first_bytes(stream) != MCAP0_MAGIC:
         raise GearboxError(f"{stream.name}: not an MCAP file: its first bytes are not those of one")
@@ -83,44 +83,44 @@ def read_index(stream: BinaryIO) -> FileIndex:
 
 
 def read_summary(stream: BinaryIO) -> FileIndex | None:
-    """Index by the file's own summary; None if it has none, or a spoilt one."""
-    footer_at = file_size(stream) - _ENDING_BYTES
-    if footer_at < len(MCAP0_MAGIC):
+    """Index from the summary of the file; None if it is missing or damaged."""
+    footer_offset = file_size(stream) - _ENDING_BYTES
+    if footer_offset < len(MCAP0_MAGIC):
         return None
-    ending_bytes = read_bytes(stream, footer_at, _ENDING_BYTES)
+    ending_bytes = read_bytes(stream, footer_offset, _ENDING_BYTES)
     opcode, length, start, _ = _FOOTER.unpack_from(ending_bytes)
     (checksum,) = _CHECKSUM.unpack_from(ending_bytes, _FOOTER.size)
     if not ending_bytes.endswith(MCAP0_MAGIC) or (opcode, length) != (Opcode.FOOTER, 20):
         return None
-    if not len(MCAP0_MAGIC) <= start < footer_at <= start + RECORD_LIMIT:
+    if not len(MCAP0_MAGIC) <= start < footer_offset <= start + RECORD_LIMIT:
         return None
-    summary = read_bytes(stream, start, footer_at - start)
+    summary = read_bytes(stream, start, footer_offset - start)
     if checksum and checksum != zlib.crc32(ending_bytes[: _FOOTER.size], zlib.crc32(summary)):
         return None
     try:
-        found = _whole(summary)
-    except Exception:  # the file has its records besides, and mcap raises whatever comes its way
+        index = _from_summary(summary)
+    except Exception:  # mcap raises many kinds of errors; the index can be made from the records
         return None
-    return found if found is not None and _inside(found, start) else None
+    return index if index is not None and _all_before(index, start) else None
 
 
-def read_metadata(stream: BinaryIO, found: FileIndex) -> dict[str, dict[str, str]]:
-    """Metadata records by name. Raises GearboxError if one is spoilt."""
-    records = (record_at(stream, index.offset, Metadata) for index in found.metadata)
+def read_metadata(stream: BinaryIO, index: FileIndex) -> dict[str, dict[str, str]]:
+    """Metadata records by name. Raises GearboxError if one is damaged."""
+    records = (record_at(stream, entry.offset, Metadata) for entry in index.metadata)
     return {record.name: record.metadata for record in records}
 
 
-def ending(found: FileIndex) -> bytes:
-    """What follows the last record of data: indexes and summary."""
-    summary_start = found.end + len(encode((DataEnd(0),)))
+def ending(index: FileIndex) -> bytes:
+    """The bytes after the last record of data: end of the data, summary, footer."""
+    summary_start = index.end + len(encode((DataEnd(0),)))
     summary = encode(
         (
-            *found.schemas.values(),
-            *found.channels.values(),
-            _statistics(found),
-            *found.chunks,
-            *found.attachments,
-            *found.metadata,
+            *index.schemas.values(),
+            *index.channels.values(),
+            _statistics(index),
+            *index.chunks,
+            *index.attachments,
+            *index.metadata,
         )
     )
     # The checksum covers the summary and the footer up to the checksum itself.
@@ -129,74 +129,74 @@ def ending(found: FileIndex) -> bytes:
     return b"".join((encode((DataEnd(0),)), summary, footer, _CHECKSUM.pack(checksum), MCAP0_MAGIC))
 
 
-def _whole(summary: bytes) -> FileIndex | None:
-    """Index that the records of a summary make; None if they lack the statistics."""
-    found = FileIndex(complete=True)
+def _from_summary(summary: bytes) -> FileIndex | None:
+    """Index from the records of a summary; None if they lack the statistics."""
+    index = FileIndex(complete=True)
     statistics = None
     for opcode, _, body in split_records(summary):
         if opcode == Opcode.SCHEMA:
             schema = parse_record(body, Schema.read)
-            found.schemas[schema.id] = schema
+            index.schemas[schema.id] = schema
         elif opcode == Opcode.CHANNEL:
             channel = parse_record(body, Channel.read)
-            found.channels[channel.id] = channel
+            index.channels[channel.id] = channel
         elif opcode == Opcode.CHUNK_INDEX:
-            found.chunks.append(parse_record(body, ChunkIndex.read))
+            index.chunks.append(parse_record(body, ChunkIndex.read))
         elif opcode == Opcode.ATTACHMENT_INDEX:
-            found.attachments.append(parse_record(body, AttachmentIndex.read))
+            index.attachments.append(parse_record(body, AttachmentIndex.read))
         elif opcode == Opcode.METADATA_INDEX:
-            found.metadata.append(parse_record(body, MetadataIndex.read))
+            index.metadata.append(parse_record(body, MetadataIndex.read))
         elif opcode == Opcode.STATISTICS:
             statistics = parse_record(body, Statistics.read)
     if statistics is None:
         return None
-    found.chunks.sort(key=lambda index: index.chunk_start_offset)
-    found.counts = dict(statistics.channel_message_counts)
-    return found
+    index.chunks.sort(key=lambda chunk: chunk.chunk_start_offset)
+    index.counts = dict(statistics.channel_message_counts)
+    return index
 
 
-def _inside(found: FileIndex, end: int) -> bool:
-    """Whether everything that a summary tells of stands before byte ``end``."""
+def _all_before(index: FileIndex, end: int) -> bool:
+    """Whether all positions of ``index`` lie between the magic bytes and byte ``end``."""
     spans = [
-        *((index.chunk_start_offset, index.chunk_length) for index in found.chunks),
-        *((index.offset, index.length) for index in found.attachments),
-        *((index.offset, index.length) for index in found.metadata),
+        *((chunk.chunk_start_offset, chunk.chunk_length) for chunk in index.chunks),
+        *((attachment.offset, attachment.length) for attachment in index.attachments),
+        *((metadata.offset, metadata.length) for metadata in index.metadata),
     ]
     return all(offset >= len(MCAP0_MAGIC) and offset + length <= end for offset, length in spans)
 
 
 def _from_records(stream: BinaryIO) -> FileIndex:
-    found = FileIndex(complete=False, end=len(MCAP0_MAGIC))
+    index = FileIndex(complete=False, end=len(MCAP0_MAGIC))
     for record in walk(stream):
         if record.opcode == Opcode.DATA_END or (record.opcode == Opcode.CHUNK and record.fault):
             break
-        _note(found, record)
-        found.end = record.offset + record.length
-    return found
+        _add(index, record)
+        index.end = record.offset + record.length
+    return index
 
 
-def _note(found: FileIndex, record: FoundRecord) -> None:
+def _add(index: FileIndex, record: FoundRecord) -> None:
     content = record.content
     if isinstance(content, ChunkContent):
-        _note_chunk(found, record, content)
+        _add_chunk(index, record, content)
     elif isinstance(content, Attachment):
-        found.attachments.append(_attachment_index(record, content))
+        index.attachments.append(_attachment_index(record, content))
     elif isinstance(content, Metadata):
-        index = MetadataIndex(offset=record.offset, length=record.length, name=content.name)
-        found.metadata.append(index)
+        entry = MetadataIndex(offset=record.offset, length=record.length, name=content.name)
+        index.metadata.append(entry)
     elif isinstance(content, Schema):
-        found.schemas[content.id] = content
+        index.schemas[content.id] = content
     elif isinstance(content, Channel):
-        found.channels[content.id] = content
+        index.channels[content.id] = content
 
 
-def _note_chunk(found: FileIndex, record: FoundRecord, content: ChunkContent) -> None:
-    found.schemas.update(content.schemas)
-    found.channels.update(content.channels)
+def _add_chunk(index: FileIndex, record: FoundRecord, content: ChunkContent) -> None:
+    index.schemas.update(content.schemas)
+    index.channels.update(content.channels)
     for number, flat in content.positions.items():
-        found.counts[number] = found.counts.get(number, 0) + len(flat) // 2
+        index.counts[number] = index.counts.get(number, 0) + len(flat) // 2
     chunk = content.chunk
-    found.chunks.append(
+    index.chunks.append(
         ChunkIndex(
             chunk_length=record.length,
             chunk_start_offset=record.offset,
@@ -211,17 +211,17 @@ def _note_chunk(found: FileIndex, record: FoundRecord, content: ChunkContent) ->
     )
 
 
-def _statistics(found: FileIndex) -> Statistics:
+def _statistics(index: FileIndex) -> Statistics:
     return Statistics(
-        attachment_count=len(found.attachments),
-        channel_count=len(found.channels),
-        channel_message_counts=found.counts,
-        chunk_count=len(found.chunks),
-        message_count=sum(found.counts.values()),
-        message_end_time=found.end_ns,
-        message_start_time=found.start_ns,
-        metadata_count=len(found.metadata),
-        schema_count=len(found.schemas),
+        attachment_count=len(index.attachments),
+        channel_count=len(index.channels),
+        channel_message_counts=index.counts,
+        chunk_count=len(index.chunks),
+        message_count=sum(index.counts.values()),
+        message_end_time=index.end_ns,
+        message_start_time=index.start_ns,
+        metadata_count=len(index.metadata),
+        schema_count=len(index.schemas),
     )
 
 

@@ -1,6 +1,6 @@
-"""The records of an MCAP file, broken off or not, decoded one by one.
+"""Decodes the records of an MCAP file, complete or broken off, one by one.
 
-Nothing that stands in a file is trusted: lengths, offsets and content may be anything.
+No content of a file is trusted: lengths, offsets and bytes may be anything.
 """
 
 from __future__ import annotations
@@ -29,83 +29,83 @@ from mcap.writer import MCAP0_MAGIC
 
 from gear_dynamics_ros.errors import GearboxError
 
-# Three times the largest message there can be; what claims more is spoilt and must not fill the memory.
+# Three times the largest possible message. A record that claims more is damaged and must not fill the memory.
 RECORD_LIMIT: Final = 1 << 30
 
 _HEAD: Final = struct.Struct("<BQ")
 _MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-_PRIVATE: Final = 0x80  # kinds of records from here on are anybody's
+_PRIVATE: Final = 0x80  # opcodes from here on are private to other programs
 _KINDS: Final = frozenset(Opcode)
 T = TypeVar("T")
 
 
-class _Written(Protocol):
+class _Writable(Protocol):
     def write(self, stream: RecordBuilder) -> None: ...
 
 
 class ChunkContent(NamedTuple):
-    """A chunk and what stands in it."""
+    """A chunk and its content."""
 
     chunk: Chunk  # as stored
-    data: bytes  # the records in it, uncompressed
+    data: bytes  # its records, uncompressed
     schemas: dict[int, Schema]
     channels: dict[int, Channel]
     positions: dict[int, list[int]]  # channel -> time, offset in data, time, offset ... of its messages
 
     def messages(self, channels: Collection[int]) -> Iterator[tuple[int, int, memoryview]]:
-        """Channel, time in ns and content of each message of ``channels``, in their order."""
-        found = [
+        """Channel, stamp in ns and CDR of each message of ``channels``, in the order of the chunk."""
+        places = [
             (offset, time_ns, channel)
             for channel in channels
             for time_ns, offset in _pairs(self.positions.get(channel, []))
         ]
         view = memoryview(self.data)
-        for offset, time_ns, channel in sorted(found):
+        for offset, time_ns, channel in sorted(places):
             begin = offset + _HEAD.size
             _, length = _HEAD.unpack_from(self.data, offset)
             yield channel, time_ns, view[begin + _MESSAGE.size : begin + length]
 
 
 class FoundRecord(NamedTuple):
-    """A record that stands whole in a file."""
+    """A record that lies completely in a file."""
 
     offset: int
-    length: int  # with its head
+    length: int  # with its opcode and length field, bytes
     opcode: int
-    # None of a spoilt or another record
+    # None if the record is damaged or of another kind
     content: ChunkContent | Header | Attachment | Metadata | Schema | Channel | None
-    fault: str  # what is spoilt in it; empty if nothing
+    fault: str  # why it is damaged; empty if it is not
 
 
 def first_bytes(stream: BinaryIO) -> bytes:
-    """What stands where an MCAP file has MCAP0_MAGIC, or as much of it as there is."""
+    """The first bytes of a file, as many as MCAP0_MAGIC has; fewer if the file is shorter."""
     return read_bytes(stream, 0, min(len(MCAP0_MAGIC), file_size(stream)))
 
 
 def walk(stream: BinaryIO, size: int | None = None) -> Iterator[FoundRecord]:
-    """Every whole record of the first ``size`` bytes, spoilt ones too, one in memory at a time.
+    """Every whole record of the first ``size`` bytes, damaged ones too, one in memory at a time.
 
-    Ends where no record follows: at the end, in the middle of one, or where none can begin. Raises
-    GearboxError if the file can't be read.
+    Stops at the end, at an incomplete record, or at bytes that can't be a record. Raises GearboxError if the
+    file can't be read.
     """
     limit = file_size(stream) if size is None else size
     offset = len(MCAP0_MAGIC)
     while (head := _head(stream, offset, limit)) is not None:
-        yield _found(stream, offset, *head)
+        yield _decode(stream, offset, *head)
         offset += _HEAD.size + head[1]
 
 
 def read_chunk(stream: BinaryIO, index: ChunkIndex) -> ChunkContent:
-    """A chunk and what stands in it. Raises GearboxError if it is spoilt."""
+    """The chunk at the position of ``index``. Raises GearboxError if it is damaged."""
     return record_at(stream, index.chunk_start_offset, ChunkContent)
 
 
 def read_attachment(stream: BinaryIO, index: AttachmentIndex) -> bytes:
-    """Content of an attachment. Raises GearboxError if it is spoilt."""
+    """Content of the attachment at the position of ``index``. Raises GearboxError if it is damaged."""
     return bytes(record_at(stream, index.offset, Attachment).data)
 
 
-def encode(records: Iterable[_Written]) -> bytes:
+def encode(records: Iterable[_Writable]) -> bytes:
     """MCAP records as bytes."""
     builder: Any = RecordBuilder()
     for record in records:
@@ -114,6 +114,7 @@ def encode(records: Iterable[_Written]) -> bytes:
 
 
 def file_size(stream: BinaryIO) -> int:
+    """Size of an open file, bytes. Raises GearboxError if it can't be read."""
     try:
         return stream.seek(0, 2)
     except OSError as error:
@@ -121,7 +122,7 @@ def file_size(stream: BinaryIO) -> int:
 
 
 def read_bytes(stream: BinaryIO, offset: int, length: int) -> bytes:
-    """The ``length`` bytes from ``offset`` on, which must stand in the file."""
+    """The ``length`` bytes from ``offset`` on. Raises GearboxError if they can't be read."""
     try:
         stream.seek(offset)
         data = stream.read(length)
@@ -133,7 +134,7 @@ def read_bytes(stream: BinaryIO, offset: int, length: int) -> bytes:
 
 
 def _head(stream: BinaryIO, offset: int, limit: int) -> tuple[int, int] | None:
-    """Kind and length of the record at ``offset``; None if none can begin there or end before ``limit``."""
+    """Opcode and length of the record at ``offset``; None if none can be there before ``limit``."""
     if offset + _HEAD.size > limit:
         return None
     opcode, length = _HEAD.unpack(read_bytes(stream, offset, _HEAD.size))
@@ -141,7 +142,7 @@ def _head(stream: BinaryIO, offset: int, limit: int) -> tuple[int, int] | None:
     return (opcode, length) if possible and offset + _HEAD.size + length <= limit else None
 
 
-def _found(stream: BinaryIO, offset: int, opcode: int, length: int) -> FoundRecord:
+def _decode(stream: BinaryIO, offset: int, opcode: int, length: int) -> FoundRecord:
     size = _HEAD.size + length
     if opcode not in _DECODERS:
         return FoundRecord(offset, size, opcode, None, "")
@@ -152,14 +153,17 @@ def _found(stream: BinaryIO, offset: int, opcode: int, length: int) -> FoundReco
     body = read_bytes(stream, offset + _HEAD.size, length)
     try:
         return FoundRecord(offset, size, opcode, _DECODERS[opcode](body), "")
-    except Exception as error:  # mcap and the decompressors have errors of their own, each another
+    except Exception as error:  # mcap and the decompressors raise many kinds of errors
         return FoundRecord(offset, size, opcode, None, " ".join(f"{error!r:.200}".split()))
 
 
 def record_at(stream: BinaryIO, offset: int, kind: type[T]) -> T:
-    """Content of the record that an index says is at ``offset``."""
+    """Content of the record at ``offset``, which must be of the type ``kind``.
+
+    Raises GearboxError if it is damaged or of another kind.
+    """
     head = _head(stream, offset, file_size(stream))
-    record = None if head is None else _found(stream, offset, *head)
+    record = None if head is None else _decode(stream, offset, *head)
     if record is not None and isinstance(record.content, kind):
         return record.content
     fault = record.fault if record is not None and record.fault else f"no {kind.__name__} stands there"
@@ -189,7 +193,7 @@ def _decompress(chunk: Chunk) -> bytes:
     if size > RECORD_LIMIT:
         raise ValueError(f"its content claims {size} bytes; the limit is {RECORD_LIMIT}")
     if chunk.compression == "zstd":
-        # Memory is taken for what the data themselves claim, whatever limit zstandard is given.
+        # zstandard allocates the size that the data claim, whatever limit it is given.
         if zstandard.frame_content_size(chunk.data) not in (-1, size):
             raise ValueError(f"its content is not of {size} bytes")
         data = zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=size)
@@ -204,7 +208,7 @@ def _decompress(chunk: Chunk) -> bytes:
 
 
 def split_records(data: bytes) -> Iterator[tuple[int, int, memoryview]]:
-    """Kind, offset and content of each record. Raises ValueError where one goes beyond the end."""
+    """Opcode, offset and content of each record in ``data``. Raises ValueError if one is incomplete."""
     view = memoryview(data)
     offset = 0
     while offset < len(data):
@@ -221,7 +225,7 @@ def _pairs(flat: list[int]) -> Iterator[tuple[int, int]]:
 
 
 def _exact(read: Callable[[ReadDataStream], Any]) -> Callable[[bytes], Any]:
-    """Reader of records that raises unless the record, written again, is the same to the last byte."""
+    """Decoder that raises ValueError unless the decoded record, encoded again, gives the same bytes."""
 
     def decode(body: bytes) -> Any:
         record = parse_record(body, read)
@@ -233,10 +237,11 @@ def _exact(read: Callable[[ReadDataStream], Any]) -> Callable[[bytes], Any]:
 
 
 def parse_record(body: bytes | memoryview, read: Callable[[ReadDataStream], T]) -> T:
+    """Decode the content of a record with ``read`` of its mcap class."""
     return read(ReadDataStream(BytesIO(body)))
 
 
-# The checksum of an attachment is among what _exact compares; mcap itself leaves it unread.
+# mcap itself does not check the checksum of an attachment; _exact does.
 _DECODERS: Final[Mapping[int, Callable[[bytes], Any]]] = {
     Opcode.HEADER: _exact(Header.read),
     Opcode.CHUNK: _unpack,

@@ -32,22 +32,21 @@ from gear_dynamics_ros.recording.mcap.index import FileIndex, ending
 from gear_dynamics_ros.recording.mcap.records import encode
 
 CHUNK_BYTES: Final = 1 << 20
-# Higher levels cost twice the time and save a tenth of a per cent: samples of doubles hardly compress.
+# Higher levels take twice the time and save 0.1 %: samples of doubles hardly compress.
 _LEVEL: Final = 1
 _COMPRESSION: Final = "zstd"
 _MESSAGE: Final = struct.Struct("<BQHIQQ")
 _CHUNK: Final = struct.Struct("<BQQQQII")
 _SIZE: Final = struct.Struct("<Q")
 _INDEX: Final = struct.Struct("<BQHI")
-_HEAD_BYTES: Final = 9  # opcode and length, which the length leaves out
+_HEAD_BYTES: Final = 9  # opcode and length; the length does not count them
 
 
 class McapWriter:
-    """New MCAP file. Raises OSError when a write fails; ``abandon_chunk`` then makes way for ``finish``.
+    """Writes a new MCAP file. ``index`` has the positions of its records.
 
-    Where not even the beginning can be written, no file is left behind.
-
-    ``index`` tells what the file holds; its ``end`` is where the whole records end.
+    Raises FileExistsError if ``path`` exists, and OSError if a write fails: call ``abandon_chunk`` then, and
+    ``finish``. If the header can't be written, no file is left behind.
     """
 
     def __init__(self, path: Path, library: str) -> None:
@@ -93,13 +92,13 @@ class McapWriter:
         self.index.metadata.append(MetadataIndex(length=len(record), name=name, offset=offset))
 
     def add_definitions(self, schemas: Mapping[int, Schema], channels: Mapping[int, Channel]) -> None:
-        """Write schemas and channels with the numbers they have, before and outside of the chunks."""
+        """Write schemas and channels, by their numbers, before the first chunk."""
         self._append(encode((*schemas.values(), *channels.values())))
         self.index.schemas.update(schemas)
         self.index.channels.update(channels)
 
     def add_message(self, channel: int, sequence: int, time_ns: int, data: bytes) -> None:
-        """Add a message to the open chunk."""
+        """Add a message to the open chunk; ``data`` is CDR."""
         if not self._positions:
             self._earliest = self._latest = time_ns
         self._earliest = min(self._earliest, time_ns)
@@ -128,9 +127,9 @@ class McapWriter:
         self._positions.clear()
 
     def add_chunk(self, chunk: Chunk, positions: Mapping[int, list[int]]) -> None:
-        """Write a chunk, compressed already, and its index.
+        """Write a compressed chunk and its message index.
 
-        ``positions``: channel -> time, offset inside, time, offset ... of its messages.
+        ``positions`` has, by channel, stamp and offset of each message: time, offset, time, offset ...
         """
         compression = chunk.compression.encode()
         head = _CHUNK.pack(
@@ -164,16 +163,16 @@ class McapWriter:
 
     @property
     def in_place(self) -> bool:
-        """Whether the file still is where it was made: one that was removed takes bytes and keeps none."""
+        """Whether the file is still at its path. A removed file accepts writes, but keeps nothing."""
         try:
             return _identity(os.stat(self._path)) == self._identity
         except OSError:
             return False
 
     def abandon_chunk(self) -> int:
-        """After a failed write: forget the open chunk and cut off the piece of a record.
+        """After a failed write: discard the open chunk and cut off the incomplete record.
 
-        Returns the number of messages in the chunk.
+        Returns the number of discarded messages.
         """
         messages = sum(map(len, self._positions.values())) // 2
         self._pending.clear()
@@ -183,13 +182,13 @@ class McapWriter:
         return messages
 
     def finish(self) -> None:
-        """Write the open chunk, the indexes and the summary, down to the disk."""
+        """Write the open chunk and the summary, and bring the file to the disk (fsync)."""
         self.end_chunk()
         self._append(ending(self.index))
         self.sync()
 
     def sync(self) -> None:
-        """Bring what was written to the disk, if there is anything new."""
+        """Bring the file to the disk (fsync), if anything was written since the last call."""
         if self._synced != self.index.end:
             os.fsync(self._file.fileno())
             self._synced = self.index.end
@@ -199,7 +198,7 @@ class McapWriter:
         self._file.close()
 
     def _append(self, data: bytes) -> int:
-        """Write whole records; returns where they begin."""
+        """Write whole records; returns their offset."""
         rest = memoryview(data)
         while rest:
             rest = rest[self._file.write(rest) :]
