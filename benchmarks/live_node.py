@@ -28,7 +28,7 @@ from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages.cdr import serialize
 from gear_dynamics_ros.messages.encoder import waveform_message
 from gear_dynamics_ros.ros.node_topics import message_type, quality
-from gear_dynamics_ros.topics import ARRAY, TOPICS, resolve
+from gear_dynamics_ros.topics import ARRAY, TOPICS, full_topic_name
 
 PARAMETERS = Path(__file__).resolve().parent.parent / "config" / "gearbox.yaml"
 # On Linux, domains above 101 share their UDP ports with the ephemeral range.
@@ -143,13 +143,15 @@ class Client:
 
         topic = TOPICS[key]
         self.ros.create_subscription(
-            message_type(topic.type), resolve(topic), cast(Any, receive), quality(topic), raw=True
+            message_type(topic.type), full_topic_name(topic), cast(Any, receive), quality(topic), raw=True
         )
 
     def publisher(self, key: str) -> Publisher:
         """Publisher of a command, once the node listens."""
         topic = TOPICS[key]
-        publisher = self.ros.create_publisher(message_type(topic.type), resolve(topic), quality(topic))
+        publisher = self.ros.create_publisher(
+            message_type(topic.type), full_topic_name(topic), quality(topic)
+        )
         self.until(lambda: publisher.get_subscription_count() > 0, START_SECONDS)
         return publisher
 

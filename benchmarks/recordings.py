@@ -30,7 +30,7 @@ from gear_dynamics_ros.recording.recover import recover
 from gear_dynamics_ros.replay.verify import verify_recording
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
-from gear_dynamics_ros.topics import TOPICS, resolve
+from gear_dynamics_ros.topics import TOPICS, full_topic_name
 
 SHARE_AIMED_AT = 0.25  # of a core, at 100 kHz and all channels
 VERIFY_AIMED_AT = 3.0  # times real time, improved model, two cores
@@ -41,7 +41,7 @@ TURNS = 3
 SEEKS = 50
 SPLIT = 0.5  # s
 WINDOW = 0.01  # s
-WAVEFORM = resolve(TOPICS["waveform"])
+WAVEFORM = full_topic_name(TOPICS["waveform"])
 
 Lines = list[str]
 
@@ -143,7 +143,7 @@ def _cpu_of_mcap(made: Sequence[Sequence[Record]], path: Path) -> float:
         channels = {}
         for key, topic in TOPICS.items():
             schema = writer.register_schema(topic.type, "ros2msg", layout.schema(topic.type))
-            channels[key] = writer.register_channel(resolve(topic), "cdr", schema)
+            channels[key] = writer.register_channel(full_topic_name(topic), "cdr", schema)
         for records in made:
             for entry in records:
                 writer.add_message(channels[entry.topic], entry.time_ns, entry.data, entry.time_ns)

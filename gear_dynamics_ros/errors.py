@@ -7,3 +7,8 @@ class GearboxError(Exception):
 
 class UsageError(GearboxError):
     """An invalid request: an option, file or parameter (exit code 2)."""
+
+
+def one_line(text: object) -> str:
+    """``text``, such as an error of a library, with line breaks and repeated spaces as one space."""
+    return " ".join(str(text).split())

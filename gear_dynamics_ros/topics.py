@@ -123,7 +123,7 @@ def is_rows(topic: str) -> bool:
     return TOPICS[topic].type == ARRAY
 
 
-def resolve(topic: Topic, node: str = "/gearbox") -> str:
+def full_topic_name(topic: Topic, node: str = "/gearbox") -> str:
     """Full name of a topic for the node with the full name ``node``."""
     if topic.name.startswith("~/"):
         return f"{node}/{topic.name[2:]}"

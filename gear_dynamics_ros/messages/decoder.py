@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gear_dynamics_ros.channels import ENERGIES, IMPACTS, PACE
 from gear_dynamics_ros.chunk import Commands, Counters
-from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.errors import GearboxError, one_line
 from gear_dynamics_ros.events import OperatorEvent
 from gear_dynamics_ros.messages.cdr import deserialize, stamp_ns
 from gear_dynamics_ros.topics import ARRAY, FLOAT_COMMANDS, JOINT_COMMAND, JOINT_STATE, STRING, TOPICS
@@ -83,9 +83,8 @@ class MessageDecoder:
         try:
             yield
         except GearboxError as error:
-            text = " ".join(str(error).split())
             where = f"{self._source}: the message on {TOPICS[topic].name} at {time_ns} ns"
-            raise GearboxError(f"{where} is spoilt: {text}") from error
+            raise GearboxError(f"{where} is damaged: {one_line(error)}") from error
 
 
 class RowReader:

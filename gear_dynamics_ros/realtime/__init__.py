@@ -1,1 +1,1 @@
-"""A run at the pace of the wall clock: no ROS."""
+"""Runs paced by the wall clock, without ROS."""

@@ -21,9 +21,9 @@ _MESH_LOSS: Final = [energy.name for energy in ENERGIES].index("mesh_loss")
 
 
 class Condition(NamedTuple):
-    """What the samples of the last second of simulated time show."""
+    """Figures from the samples of the last second of simulated time."""
 
-    span: float  # s looked at; less than a second after the start, a reset or a restore
+    span: float  # time evaluated, s; less than a second after the start, a reset or a restore
     dte_mean: float  # m, of the dynamic transmission error
     dte_rms: float  # m, its mean included
     drive_share: float  # of the samples, with the drive flanks in mesh
@@ -48,7 +48,7 @@ class _Totals(NamedTuple):
 
 
 class ConditionSink:
-    """Follows a run; ``report`` may be called from another thread."""
+    """Evaluates the condition of a run; ``report`` may be called from another thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -60,10 +60,10 @@ class ConditionSink:
         if chunk is None or not len(chunk):
             return
         self._chunks.append(chunk)
-        # Some chunks are looked at together: each alone would pay for a dozen calls of NumPy, and many
-        # together would make the one late that they are added up in.
+        # Several chunks are evaluated at once, because each evaluation takes a dozen calls of NumPy. They are
+        # not too many, so that the evaluation does not delay the present chunk.
         if chunk.last_ns - self._chunks[0].start_ns + chunk.interval_ns >= INTERVAL_NS:
-            totals = self._summary()
+            totals = self._evaluate()
             with self._lock:
                 self._intervals.append(totals)
 
@@ -71,7 +71,7 @@ class ConditionSink:
         """Nothing to finish."""
 
     def clear(self, mesh_loss: float) -> None:
-        """Forget what was before a reset or a restore, after which the ledger goes on at ``mesh_loss`` J.
+        """Start again after a reset or a restore; ``mesh_loss`` is the present value of that energy, J.
 
         On the thread that writes.
         """
@@ -81,17 +81,17 @@ class ConditionSink:
             self._intervals.clear()
 
     def report(self) -> Condition | None:
-        """Figures of the last second; None before the first interval of it."""
+        """Figures of the last second; None before the end of the first interval."""
         with self._lock:
-            found = list(self._intervals)
-        if not found:
+            intervals = list(self._intervals)
+        if not intervals:
             return None
-        samples = sum(totals.samples for totals in found)
-        span = sum(totals.time_ns for totals in found) * 1e-9
-        mean = math.fsum(totals.dte_sum for totals in found) / samples
-        square = sum(totals.dte_squares for totals in found) / samples
-        drive = sum(totals.drive for totals in found) / samples
-        back = sum(totals.back for totals in found) / samples
+        samples = sum(totals.samples for totals in intervals)
+        span = sum(totals.time_ns for totals in intervals) * 1e-9
+        mean = math.fsum(totals.dte_sum for totals in intervals) / samples
+        square = sum(totals.dte_squares for totals in intervals) / samples
+        drive = sum(totals.drive for totals in intervals) / samples
+        back = sum(totals.back for totals in intervals) / samples
         return Condition(
             span=span,
             dte_mean=mean,
@@ -99,13 +99,14 @@ class ConditionSink:
             drive_share=drive,
             apart_share=1.0 - drive - back,
             back_share=back,
-            driving_peak_force=max(totals.peaks[0] for totals in found),
-            driven_peak_force=max(totals.peaks[1] for totals in found),
-            drive_power=sum(totals.drive_work for totals in found) / span,
-            mesh_loss=sum(totals.mesh_loss for totals in found) / span,
+            driving_peak_force=max(totals.peaks[0] for totals in intervals),
+            driven_peak_force=max(totals.peaks[1] for totals in intervals),
+            drive_power=sum(totals.drive_work for totals in intervals) / span,
+            mesh_loss=sum(totals.mesh_loss for totals in intervals) / span,
         )
 
-    def _summary(self) -> _Totals:
+    def _evaluate(self) -> _Totals:
+        """Totals over the chunks that wait for evaluation."""
         chunks, self._chunks = self._chunks, []
         rows = np.concatenate([chunk.samples for chunk in chunks])
         dte, state = rows[:, COLUMN["dte"]], rows[:, COLUMN["meshing_state"]]

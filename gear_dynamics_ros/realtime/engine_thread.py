@@ -1,4 +1,4 @@
-"""A run paced by the wall clock, on a thread of its own; no ROS."""
+"""A run paced by the wall clock, on its own thread; no ROS."""
 
 from __future__ import annotations
 
@@ -26,31 +26,31 @@ from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.system.threads import name_thread
 
-PATIENCE = 2.0  # s of silence while the kernel compiles
+SLOW_START = 2.0  # s of wall time after which a log message explains a slow start
 T = TypeVar("T")
 
 
 @dataclass(slots=True)
 class Steps:
-    """Chunks to make while paused; ``done`` gets the simulated time in s, or why they were given up."""
+    """A request for chunks while paused."""
 
-    chunks: int
-    timeout: float  # s of wall time
-    began_ns: int
-    done: Future[float]
-    made: int = 0
+    chunks: int  # requested
+    timeout: float  # wall time, s
+    began_ns: int  # wall time
+    done: Future[float]  # gets the simulated time in s, or the reason of a failure
+    made: int = 0  # chunks computed
 
     def expired(self, now_ns: int) -> bool:
-        """Whether the time is up."""
+        """Whether the time limit has passed at the wall time ``now_ns``."""
         return now_ns - self.began_ns > self.timeout * 1e9
 
-    def give_up(self, reason: str) -> None:
-        """Fail with the reason."""
+    def abort(self, reason: str) -> None:
+        """Fail with ``reason`` and the number of chunks computed."""
         self.done.set_exception(GearboxError(f"{reason} after {self.made} of {self.chunks} chunks"))
 
 
 class EngineThread:
-    """Paces a run. Only its thread touches the run; others ask through ``request``, between two chunks."""
+    """Paces a run. Only this thread uses the run; others call ``request`` to act between two chunks."""
 
     def __init__(
         self,
@@ -58,7 +58,7 @@ class EngineThread:
         mailbox: Mailbox,
         on_end: Callable[[], None],
     ) -> None:
-        """``on_end`` is called at the end, on the thread."""
+        """``on_end`` is called on the engine's thread when the run has ended."""
         self.run = run
         self.mailbox = mailbox
         self._on_end = on_end
@@ -78,7 +78,7 @@ class EngineThread:
 
     @property
     def active(self) -> bool:
-        """Whether the thread runs."""
+        """Whether the thread is running."""
         return self._thread is not None
 
     @property
@@ -92,7 +92,7 @@ class EngineThread:
         return self._timed_out
 
     def start(self) -> None:
-        """Begin, or go on where ``stop`` left."""
+        """Start the thread; after ``stop`` the run continues where it stopped."""
         self._stopping = False
         self.mailbox.forget()
         self._restart_clocks()
@@ -100,7 +100,7 @@ class EngineThread:
         self._thread.start()
 
     def stop(self) -> None:
-        """Finish the chunk in hand, serve what was requested and end the thread."""
+        """Finish the present chunk, serve all requests and end the thread."""
         if self._thread is None:
             return
         with self._wake:
@@ -110,10 +110,10 @@ class EngineThread:
         self._thread = None
 
     def request(self, action: Callable[[], T]) -> Future[T]:
-        """Do ``action`` between two chunks, in the order of the requests; the future gets its result.
+        """Call ``action`` between two chunks, in the order of the requests; the future gets its result.
 
-        Callbacks of the future are called on the engine's thread. The time that ``action`` takes is no
-        overrun: deadlines slip by it. While the thread does not run, ``action`` is done at once.
+        Callbacks of the future run on the engine's thread. The time that ``action`` takes does not count as
+        an overrun: deadlines slip by it. If the thread is not running, ``action`` is called at once.
         """
         future: Future[T] = Future()
 
@@ -135,21 +135,22 @@ class EngineThread:
         return future
 
     def call(self, action: Callable[[], T]) -> T:
-        """Result of ``action``, as ``request`` does it; raises what it raises."""
+        """Result of ``action``, called as by ``request``. Raises what ``action`` raises."""
         return self.request(action).result()
 
     def post(self, make: Callable[[], Sequence[Record]]) -> None:
-        """Let what ``make`` makes go to the sinks between two chunks, without waiting for it."""
+        """Write the messages that ``make`` returns to the sinks between two chunks, without waiting."""
         if self.active:
             self._enqueue(lambda: self.run.write_records(make()))
         else:
             self.run.write_records(make())
 
     def step(self) -> Future[float]:
-        """``stepping.chunks`` chunks while paused, as fast as possible; the future gets the time reached, s.
+        """Compute ``stepping.chunks`` chunks while paused, as fast as possible.
 
-        The future fails with GearboxError if the run isn't paused, steps already or has ended, if it is
-        unpaused, reset, stopped or ends meanwhile, and after ``stepping.timeout`` s of wall time.
+        The future gets the simulated time reached, s. It fails with GearboxError if the run is not paused, is
+        stepping already or has ended; if it is unpaused, reset, stopped or ends meanwhile; and after
+        ``stepping.timeout`` s of wall time.
         """
         done: Future[float] = Future()
 
@@ -163,31 +164,34 @@ class EngineThread:
         return done
 
     def pause(self) -> bool:
-        """``Run.pause``, for ``request``."""
+        """``Run.pause``, to be called by ``request``."""
         changed = self.run.pause()
         if changed:
             self._restart_clocks()
         return changed
 
     def unpause(self) -> bool:
-        """``Run.unpause``, for ``request``; steps under way are given up."""
+        """``Run.unpause``, to be called by ``request``; aborts steps in progress."""
         changed = self.run.unpause()
         if changed:
-            self._give_up_steps("aborted: resumed")
+            self._abort_steps("aborted: resumed")
             self._restart_clocks()
         return changed
 
     def restart(self, begin: Callable[[], None]) -> None:
-        """Let ``begin`` reset or restore the run; clocks and mailbox are as at the start. For ``request``."""
+        """Call ``begin``, which resets or restores the run, and restart clocks and mailbox.
+
+        To be called by ``request``.
+        """
         begin()
-        self._give_up_steps("aborted: the run was reset or a checkpoint restored")
+        self._abort_steps("aborted: the run was reset or a checkpoint restored")
         self._end_reported = False
         self._timed_out = False
         self.mailbox.forget()
         self._restart_clocks()
 
     def change(self, change: ParameterChange) -> None:
-        """Put ``change`` in force, for ``request``. Raises GearboxError as ``Engine.change`` does."""
+        """Put ``change`` in force, to be called by ``request``. Raises GearboxError as ``Engine.change``."""
         self.run.change(change)
         self.mailbox.limit(change.new)
         if change.new.pacing != change.old.pacing:
@@ -195,7 +199,7 @@ class EngineThread:
                 self._pacer.change(change.new.pacing, time.monotonic_ns())
 
     def pace(self) -> Pace:
-        """Figures since the last call."""
+        """Figures of the pacing since the last call."""
         with self._pacer_lock:
             return self._pacer.report(time.monotonic_ns())
 
@@ -220,10 +224,10 @@ class EngineThread:
         stepping = self.run.engine.parameters.stepping
         self._steps = Steps(stepping.chunks, stepping.timeout, time.monotonic_ns(), done)
 
-    def _give_up_steps(self, reason: str) -> None:
+    def _abort_steps(self, reason: str) -> None:
         steps, self._steps = self._steps, None
         if steps is not None:
-            steps.give_up(reason)
+            steps.abort(reason)
 
     def _enqueue(self, serve: Callable[[], None]) -> None:
         with self._wake:
@@ -241,18 +245,18 @@ class EngineThread:
                 self._fail(error)
             if self.run.state.ended and not self._end_reported:
                 self._report_end()
-        self._give_up_steps("aborted: deactivated")
+        self._abort_steps("aborted: deactivated")
 
     def _report_end(self) -> None:
         self._end_reported = True
-        self._give_up_steps(f"aborted: {self.run.state.reason}")
+        self._abort_steps(f"aborted: {self.run.state.reason}")
         try:
             self._on_end()
         except Exception as error:
             self._fail(error)
 
     def _fail(self, error: Exception) -> None:
-        """End the run and keep the thread: the node must report why, and a reset may recover."""
+        """End the run because of ``error``. The thread continues: a reset can recover."""
         with contextlib.suppress(Exception):  # the sink that failed may fail again
             self.run.fail(str(error) or repr(error))
 
@@ -263,12 +267,12 @@ class EngineThread:
             self._stepped_chunk(self._steps)
 
     def _wait(self) -> bool:
-        """Serve requests until a chunk is due; False if the thread is to end."""
+        """Serve requests until a chunk is due; returns False if the thread must end."""
         while True:
             with self._wake:
                 if not self._requests and not self._stopping:
                     self._wake.wait(self._patience())
-            # One by one: if one fails, those behind it are still there.
+            # One at a time: if one fails, the others stay in the queue.
             while self._requests:
                 self._requests.popleft()()
             if self._stopping:
@@ -277,7 +281,7 @@ class EngineThread:
                 return True
 
     def _patience(self) -> float | None:
-        """Wall time until a chunk is due in s; None while there is nothing to do."""
+        """Wall time in s until the next chunk is due; None if no chunk is to be computed."""
         state = self.run.state
         if state.ended:
             return None
@@ -288,19 +292,19 @@ class EngineThread:
     def _paced_chunk(self) -> None:
         now = time.monotonic_ns()
         with self._pacer_lock:
-            self._pacer.begun(self._chunk_ns, now)
+            self._pacer.chunk_started(self._chunk_ns, now)
         delivery = self.mailbox.take(now)
         self._check_timeout(delivery)
         chunk = self._chunk(delivery)
         with self._pacer_lock:
-            late_ns = self._pacer.done(len(chunk) * self._interval_ns, time.monotonic_ns())
+            late_ns = self._pacer.chunk_finished(len(chunk) * self._interval_ns, time.monotonic_ns())
         if late_ns:
             self._overrun(late_ns)
 
     def _stepped_chunk(self, steps: Steps) -> None:
         now = time.monotonic_ns()
         if steps.expired(now):
-            self._give_up_steps(f"timed out: {steps.timeout:g} s (stepping.timeout) are over")
+            self._abort_steps(f"timed out: {steps.timeout:g} s (stepping.timeout) are over")
             return
         self._chunk(self.mailbox.take(now))
         steps.made += 1
@@ -309,7 +313,7 @@ class EngineThread:
             steps.done.set_result(self.time)
 
     def _check_timeout(self, delivery: Delivery) -> None:
-        """Time out when commands cease to come, and again if something else has put torques in force."""
+        """Time out when no commands arrive, and again if something else puts torques in force meanwhile."""
         timeout = self._operation.command_timeout
         before = self._timed_out
         self._timed_out = timeout > 0.0 and not delivery.changes and delivery.age_ns > timeout * 1e9
@@ -333,11 +337,11 @@ class EngineThread:
 
 
 def warm_up(parameters: Parameters, log: Callable[[str], object]) -> None:
-    """Do once all that a run does, so that no chunk pays for what is compiled or loaded at first use.
+    """Compile and load everything that a run uses, so that no chunk of a later run is delayed by it.
 
-    Calls ``log`` if it takes long, which is the first time on a machine: then the kernel is compiled.
+    Calls ``log`` if it takes long, as it does when the kernel is compiled for the first time on a machine.
     """
-    notice = threading.Timer(PATIENCE, log, ["compiling the kernel; only a first start takes this long"])
+    notice = threading.Timer(SLOW_START, log, ["compiling the kernel; only a first start takes this long"])
     notice.daemon = True
     began = time.perf_counter()
     notice.start()
@@ -349,5 +353,5 @@ def warm_up(parameters: Parameters, log: Callable[[str], object]) -> None:
     finally:
         notice.cancel()
     elapsed = time.perf_counter() - began
-    if elapsed > PATIENCE:
+    if elapsed > SLOW_START:
         log(f"compiled in {elapsed:.0f} s")

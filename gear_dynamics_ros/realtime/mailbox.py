@@ -1,4 +1,4 @@
-"""Commands on their way from whoever sends them to the next chunk edge: checked, counted, handed over."""
+"""Mailbox for commands: checks and counts them, and keeps them until the next chunk edge."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ from typing import NamedTuple
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.parameters import Parameters, specifications
 
-# Of a burst between two chunk edges as many are recorded; those before them had no effect.
+# Messages recorded between two chunk edges. Of more, the oldest are not recorded; they had no effect.
 MOST_RECEIVED = 1000
 
 
 class Delivery(NamedTuple):
-    """What came in since the last chunk edge."""
+    """Commands received since the last chunk edge."""
 
-    changes: dict[str, float]  # field of Commands: value; empty if nothing came
-    received: list[tuple[str, bytes]]  # topic key and CDR of each message behind them
-    age_ns: int  # wall time since the last good command, or since ``restart``
+    changes: dict[str, float]  # values by field of Commands; empty if none was received
+    received: list[tuple[str, bytes]]  # key in TOPICS and CDR of each message
+    age_ns: int  # wall time since the last accepted command, or since ``restart``
 
 
 class CommandCounts(NamedTuple):
-    """Commands counted since the start."""
+    """Numbers of messages since the start."""
 
     accepted: int
     refused: int
-    unrecorded: int  # of a burst, overtaken before the chunk edge and not recorded
+    unrecorded: int  # accepted, but more than MOST_RECEIVED between two chunk edges
     last_refusal: str
-    ages: Mapping[str, float]  # field of Commands: wall time in s since it was commanded; NaN: never
+    ages: Mapping[str, float]  # wall time since the last command in s, by field of Commands; NaN if none
 
 
 class Mailbox:
-    """Takes commands from one thread and hands them to another; times are ns of one monotonic clock."""
+    """Passes commands from one thread to another. Times are ns of one monotonic clock."""
 
     def __init__(self, parameters: Parameters, now_ns: int) -> None:
         self._lock = threading.Lock()
@@ -49,7 +49,7 @@ class Mailbox:
         self.limit(parameters)
 
     def limit(self, parameters: Parameters) -> None:
-        """Take from now on what lies within the bounds of ``parameters``."""
+        """From now on accept only values within the bounds of ``parameters``."""
         rows = specifications()
         speed_limit = parameters.operation.speed_limit
         torques = {name: rows[f"operation.{name}"] for name in ("drive_torque", "load_torque")}
@@ -64,9 +64,10 @@ class Mailbox:
             self._bounds = bounds
 
     def offer(self, topic: str, changes: Mapping[str, float], data: bytes, now_ns: int) -> str:
-        """Take the command message ``data`` that means ``changes``; returns why it was refused, or nothing.
+        """Accept the message ``data`` (CDR) on ``topic`` that requests ``changes``, or refuse it.
 
-        A message is taken as a whole or not at all; of several for one command the last counts.
+        Returns the reason of a refusal, else an empty text. A message is accepted as a whole or not at all;
+        the last value of each command counts.
         """
         with self._lock:
             refusal = next(filter(None, (self._refusal(name, value) for name, value in changes.items())), "")
@@ -83,13 +84,13 @@ class Mailbox:
         return refusal
 
     def refuse(self, reason: str) -> None:
-        """Count a message that can't be read."""
+        """Count a message that can't be decoded."""
         with self._lock:
             self._refused += 1
             self._last_refusal = reason
 
     def take(self, now_ns: int) -> Delivery:
-        """Everything since the last call."""
+        """Take out everything since the last call."""
         with self._lock:
             delivery = Delivery(self._changes, list(self._received), now_ns - self._last_ns)
             self._changes = {}
@@ -102,16 +103,19 @@ class Mailbox:
             self._last_ns = now_ns
 
     def forget(self) -> None:
-        """Drop what has not been taken yet."""
+        """Drop everything that has not been taken."""
         with self._lock:
             self._changes = {}
             self._received.clear()
 
     def counts(self, now_ns: int) -> CommandCounts:
-        """Counts of this moment."""
+        """Present counts and ages."""
         with self._lock:
-            at = self._commanded_ns
-            ages = {name: (now_ns - at[name]) * 1e-9 if name in at else math.nan for name in Commands._fields}
+            last_ns = self._commanded_ns
+            ages = {
+                name: (now_ns - last_ns[name]) * 1e-9 if name in last_ns else math.nan
+                for name in Commands._fields
+            }
             return CommandCounts(self._accepted, self._refused, self._unrecorded, self._last_refusal, ages)
 
     def _refusal(self, name: str, value: float) -> str:

@@ -1,4 +1,4 @@
-"""What the model is, as ``~/model_info`` tells it: enough to read every other topic without this package."""
+"""Content of ``~/model_info``: describes the model, so that every topic can be read without this package."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from gear_dynamics_ros.channels import CHANNELS, ENERGIES, IMPACTS, PACE, Channe
 from gear_dynamics_ros.messages.encoder import bearing_frame
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.simulation.provenance import current_provenance
-from gear_dynamics_ros.topics import TOPICS, resolve
+from gear_dynamics_ros.topics import TOPICS, full_topic_name
 
 
 def describe_model(parameters: Parameters, epoch_ns: int, node: str) -> str:
-    """JSON text; ``epoch_ns`` is the ROS time of simulated time 0, ``node`` the full name."""
+    """JSON text about the model; ``epoch_ns`` is the ROS time of simulated time 0, ``node`` the full name."""
     prefix, provenance = parameters.joint_prefix, current_provenance()
     named = {entry.name: entry for entry in (*CHANNELS, *ENERGIES)}
     solver = parameters.solver
@@ -33,7 +33,7 @@ def describe_model(parameters: Parameters, epoch_ns: int, node: str) -> str:
             "impacts": _columns(IMPACTS),
             "pacing": _columns(PACE),
             "topics": {
-                resolve(topic, node): {"type": topic.type, "content": topic.content}
+                full_topic_name(topic, node): {"type": topic.type, "content": topic.content}
                 for topic in TOPICS.values()
             },
             "parameters": parameters.to_flat(),

@@ -1,4 +1,4 @@
-"""The recordings that one run of the node makes, one after another."""
+"""Controls the recordings of one run of the node."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ T = TypeVar("T")
 class RecordingControl:
     """Begins and ends the recordings of ``run``; the first at ``recording.path``, later ones beside it.
 
-    The only owner of what went wrong with any of them: ``errors``. ``begin``, ``split``, ``end`` and ``cut``
-    act between two chunks, on the thread that makes them; ``close`` and ``write`` wait for the disk and may
-    run on any other thread.
+    ``errors`` has all errors of all recordings. ``begin``, ``split``, ``end`` and ``cut`` must be called
+    between two chunks, on the engine's thread; ``close`` and ``write`` wait for the disk and may be called on
+    any other thread.
     """
 
     def __init__(self, run: Run, epoch_ns: int, node: str) -> None:
@@ -34,14 +34,15 @@ class RecordingControl:
         self._sink: RecorderSink | None = None
         self._ring: Ring | None = None
         self._errors: dict[str, None] = {}  # an ordered set; several threads add to it
-        self.refusal = ""  # why the recording that was wanted last did not begin
-        self.snapshot_path = ""  # of the last one written
+        self.refusal = ""  # why the last requested recording did not begin; empty if it did
+        self.snapshot_path = ""  # of the last snapshot written
 
     @property
     def errors(self) -> Sequence[str]:
-        """Everything that went wrong with recordings of this run, each line once, in order.
+        """All errors of recordings of this run, each text once, in order.
 
-        Recordings that could not begin, recorders that stopped, snapshots that could not be written.
+        They are of recordings that could not begin, recorders that stopped, and snapshots that could not be
+        written.
         """
         return tuple(self._errors)
 
@@ -52,12 +53,12 @@ class RecordingControl:
 
     @property
     def current(self) -> Recorder | None:
-        """The recorder at work, also after an error of its own."""
+        """The present recorder, also after it stopped with an error; None if nothing is recorded."""
         return self._sink.recorder if self._sink is not None else None
 
     @property
     def ring(self) -> Ring | None:
-        """The ring, where there is one."""
+        """The ring, None if there is none."""
         return self._ring
 
     def arm(self) -> None:
@@ -69,8 +70,9 @@ class RecordingControl:
         """Record from the next sample on; returns the path of the recording.
 
         ``beside`` takes the first free of path, path_2, path_3, ... A recorder that stopped with an error
-        makes way. Raises UsageError if the path exists or can't be made, GearboxError if it can't be written;
-        ``errors`` and ``refusal`` keep why. Raises GearboxError if there is no path or a recording runs.
+        is replaced. Raises UsageError if the path exists or can't be created, GearboxError if it can't be
+        written; ``errors`` and ``refusal`` then have the reason. Raises GearboxError too if there is no path
+        or a recording is in progress.
         """
         path = self._require_path()
         self._drop_stopped()
@@ -88,7 +90,7 @@ class RecordingControl:
         return str(recorder.path)
 
     def split(self) -> None:
-        """Go on in a new file. Raises GearboxError if nothing is recorded."""
+        """Begin a new part. Raises GearboxError if nothing is recorded."""
         if self._sink is None:
             raise GearboxError("nothing is recorded: call ~/record first")
         if self._sink.recorder.error is not None:
@@ -96,7 +98,7 @@ class RecordingControl:
         self._sink.split()
 
     def end(self) -> Recorder | None:
-        """Record no more; ``close`` finishes what is returned. None if nothing was recorded."""
+        """Stop recording; ``close`` must finish the returned recorder. None if nothing was recorded."""
         if self._sink is None:
             return None
         sink, self._sink = self._sink, None
@@ -105,14 +107,14 @@ class RecordingControl:
         return sink.recorder
 
     def close(self, recorder: Recorder) -> Path:
-        """Finish a recording that has ended; returns its path. Raises GearboxError if it is not whole."""
+        """Finish a recording that was ended; returns its path. Raises GearboxError if it is incomplete."""
         recorder.close()
         if recorder.error is not None:
             raise GearboxError(recorder.error)
         return recorder.path
 
     def cut(self) -> Excerpt:
-        """What the ring holds now. Raises GearboxError if there is none."""
+        """The present content of the ring. Raises GearboxError if there is no ring."""
         if self._ring is None:
             raise GearboxError(
                 "there is no ring to take a snapshot of: start the node with recording.mode = 'ring' and a "
@@ -121,9 +123,9 @@ class RecordingControl:
         return self._ring.cut()
 
     def write(self, excerpt: Excerpt) -> Path:
-        """Make a recording of an excerpt, the first free of path, path_2, ...; returns its path.
+        """Make a recording of an excerpt at the first free of path, path_2, ...; returns its path.
 
-        Raises GearboxError if it can't be written; ``errors`` keeps why.
+        Raises GearboxError if it can't be written; ``errors`` then has the reason.
         """
         try:
             path = _make_beside(
@@ -154,7 +156,7 @@ class RecordingControl:
 
 
 def _make_beside(path: Path, make: Callable[[Path], T]) -> T:
-    """What ``make`` makes at the first free of path, path_2, ...; another thread may be faster at a name."""
+    """Result of ``make`` at the first free of path, path_2, ... Repeats if another thread took the name."""
     while True:
         free = _free(path)
         try:

@@ -1,4 +1,4 @@
-"""One run of the node, from its first activation to its end, and what an operator may ask of it; no ROS."""
+"""One run of the node, from its first activation to its end, and the requests of an operator; no ROS."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ from gear_dynamics_ros.system.futures import then, then_start
 class Session:
     """Engine thread, sinks and recordings of one run.
 
-    Simulated time 0 is the moment it is made, so that stamps run along with the wall clock at real-time
-    factor 1. For one thread, which serves the operator.
+    Simulated time 0 is the time of its creation, so that stamps agree with the wall clock at real-time
+    factor 1. Its methods are for one thread, which serves the operator.
     """
 
     def __init__(
@@ -55,8 +55,8 @@ class Session:
         self.recordings = RecordingControl(self._run, self.epoch_ns, node)
         self.engine_thread = EngineThread(self._run, mailbox, self._run_ended)
         self._started = False
-        self._record_after_restart = False  # the end of the run, and not the operator, ended the recording
-        # A disk may take its time: neither the engine nor whoever serves the operator waits for it.
+        self._record_after_restart = False  # whether a fault, not the operator, ended the recording
+        # A slow disk must not delay the engine, or the thread that serves the operator.
         self._disk = ThreadPoolExecutor(max_workers=1, thread_name_prefix="disk")
 
     @property
@@ -75,7 +75,7 @@ class Session:
         return self.epoch_ns + self._run.engine.sample * self.parameters.solver.sample_interval_ns
 
     def start(self) -> None:
-        """Begin, or go on where ``stop`` left."""
+        """Start the run, or continue after ``stop``."""
         if not self._started:
             self._started = True
             self._write_model_info()
@@ -84,7 +84,7 @@ class Session:
         self.engine_thread.start()
 
     def stop(self) -> None:
-        """Stand still without losing a sample."""
+        """Stop the engine thread without losing a sample."""
         self.engine_thread.stop()
         if not self.state.paused:
             self._run.write_event(PAUSE, "deactivated")
@@ -99,9 +99,9 @@ class Session:
             self._run.close()
 
     def begin_recording(self, *, beside: bool) -> str:
-        """Record, or arm the ring, as the parameters want; returns what was done, in words.
+        """Record, or arm the ring, as the parameters say; returns what was done, as text.
 
-        A recording that can't begin leaves the run without one: ``recordings.errors`` then says why.
+        If the recording can't begin, the run continues without it; ``recordings.errors`` has the reason.
         """
         if self.parameters.recording.mode == "ring":
             self.recordings.arm()
@@ -109,11 +109,11 @@ class Session:
         return self._record(beside=beside)
 
     def report(self, pace: Pace, diagnostics: bytes) -> None:
-        """Publish and record how well the pace is kept, and ``diagnostics`` in CDR."""
-        wanted = self.parameters.pacing.real_time_factor
+        """Publish and record a report of the pacing, and the message ``diagnostics`` (CDR)."""
+        requested = self.parameters.pacing.real_time_factor
 
         def records() -> list[Record]:
-            row = (self.engine_thread.time, pace.real_time_factor, wanted, *pace[1:])
+            row = (self.engine_thread.time, pace.real_time_factor, requested, *pace[1:])
             return [
                 Record("diagnostics", self.now_ns, diagnostics),
                 self._encoder.pacing(self.now_ns, row),
@@ -121,8 +121,8 @@ class Session:
 
         self.engine_thread.post(records)
 
-    # Requests of the operator. Each is done between two chunks and waits for nothing; the future gets what
-    # was done, in words, or fails with GearboxError.
+    # Requests of the operator. Each acts between two chunks and returns at once; its future gets a text about
+    # what was done, or fails with GearboxError.
 
     def change(self, change: ParameterChange) -> Future[None]:
         """Put changed parameters in force from the next chunk on."""
@@ -135,27 +135,27 @@ class Session:
         return self.engine_thread.request(apply)
 
     def reset(self) -> Future[str]:
-        """Back to the start state and the commands of the parameters."""
+        """Return to the start state and to the commands of the parameters."""
         return self._restart("back at the start state", self._run.reset)
 
     def pause(self) -> Future[str]:
-        """Let simulated time stand still."""
+        """Stop simulated time."""
         return self.engine_thread.request(lambda: self._paused("paused", self.engine_thread.pause()))
 
     def unpause(self) -> Future[str]:
-        """Let simulated time go on."""
+        """Continue after a pause."""
         return self.engine_thread.request(lambda: self._paused("running", self.engine_thread.unpause()))
 
     def step(self) -> Future[str]:
-        """``stepping.chunks`` chunks while paused; done when the last is made."""
+        """Compute ``stepping.chunks`` chunks while paused; done after the last one."""
         return then(self.engine_thread.step(), lambda reached: f"simulated {reached:.9g} s")
 
     def split(self) -> Future[str]:
-        """Go on recording in a new file."""
+        """Begin a new part of the recording."""
         return then(self.engine_thread.request(self.recordings.split), lambda _: "split")
 
     def start_recording(self) -> Future[str]:
-        """Record from now on, beside earlier recordings."""
+        """Begin a new recording, beside earlier ones."""
 
         def begin() -> str:
             path = self.recordings.begin(beside=True)
@@ -166,23 +166,26 @@ class Session:
         return self.engine_thread.request(begin)
 
     def end_recording(self) -> Future[str]:
-        """Record no more; done when the recording is complete on the disk."""
+        """Stop recording; done when the recording is complete on the disk."""
         ended = self.engine_thread.request(self.recordings.end)
         return then_start(ended, lambda recorder: self._disk.submit(self._close, recorder))
 
     def snapshot(self) -> Future[str]:
-        """Make a recording of what the ring holds; done when it is complete on the disk."""
+        """Make a recording of the content of the ring; done when it is complete on the disk."""
         cut = self.engine_thread.request(self.recordings.cut)
         return then_start(cut, lambda excerpt: self._disk.submit(self._write, excerpt))
 
     def save_checkpoint(self) -> Future[str]:
-        """Write the state of this moment to ``checkpoint.path``."""
+        """Write the present state to ``checkpoint.path``. Raises GearboxError if that is empty."""
         path = self._checkpoint_path()
         taken = self.engine_thread.request(self._run.checkpoint)
         return then_start(taken, lambda state: self._disk.submit(self._save, path, state))
 
     def restore_checkpoint(self) -> Future[str]:
-        """Resume from the state in ``checkpoint.path``; simulated time goes on."""
+        """Resume from the checkpoint in ``checkpoint.path``; simulated time continues.
+
+        Raises GearboxError if there is no valid one.
+        """
         path = self._checkpoint_path()
         stored = checkpoint.load_checkpoint(path)
         require_resumable(stored.checkpoint)
@@ -194,16 +197,16 @@ class Session:
 
         return self._restart(f"restored {path}", resume)
 
-    def _restart(self, words: str, begin: Callable[[], None]) -> Future[str]:
-        """Put the run anew where ``begin`` does; record anew if its end had closed the recording."""
+    def _restart(self, answer: str, begin: Callable[[], None]) -> Future[str]:
+        """Reset or restore the run by ``begin``; record again if a fault had ended the recording."""
 
         def restart() -> str:
             self.engine_thread.restart(begin)
             self.condition.clear(self._run.engine.mesh_loss)
-            record_anew, self._record_after_restart = self._record_after_restart, False
-            recorded = f", {self._record(beside=True)}" if record_anew else ""
+            record_again, self._record_after_restart = self._record_after_restart, False
+            recorded = f", {self._record(beside=True)}" if record_again else ""
             self._write_model_info()
-            return words + recorded
+            return answer + recorded
 
         return self.engine_thread.request(restart)
 
@@ -234,18 +237,18 @@ class Session:
         return Path(path).absolute()
 
     def _write_model_info(self) -> None:
-        """Publish and record what the model is, after whatever changed it."""
+        """Publish and record the description of the model, after a change."""
         text = describe_model(self.parameters, self.epoch_ns, self._node)
         self._run.write_records([self._encoder.model_info(self.now_ns, text)])
 
     def _run_ended(self) -> None:
         if not self.state.completed:
-            self._keep_the_fault()
+            self._keep_fault_recording()
         self._on_end(self)
 
-    def _keep_the_fault(self) -> None:
-        """Finish the recording of a run that ended by a fault; write what the ring holds of it."""
-        # ``recordings.errors`` keeps what goes wrong here.
+    def _keep_fault_recording(self) -> None:
+        """Finish the recording of a run that ended by a fault, and write the content of the ring."""
+        # ``recordings.errors`` has the errors that are suppressed here.
         with contextlib.suppress(GearboxError):
             recorder = self.recordings.end()
             if recorder is not None:

@@ -14,7 +14,7 @@ from mcap.records import Channel, Schema
 from gear_dynamics_ros.messages.cdr import TYPESTORE
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.simulation.provenance import Provenance
-from gear_dynamics_ros.topics import TOPICS, Topic, resolve
+from gear_dynamics_ros.topics import TOPICS, Topic, full_topic_name
 
 METADATA_FILE: Final = "metadata.yaml"
 PARAMETERS_ATTACHMENT: Final = "parameters.yaml"
@@ -89,7 +89,7 @@ class RunMetadata(NamedTuple):
 def recorded_topics(parameters: Parameters, node: str) -> dict[str, tuple[str, Topic]]:
     """The topics to record, with their full names, by key in TOPICS."""
     keys = {*parameters.recording.topics, *ALWAYS_RECORDED}
-    return {key: (resolve(topic, node), topic) for key, topic in TOPICS.items() if key in keys}
+    return {key: (full_topic_name(topic, node), topic) for key, topic in TOPICS.items() if key in keys}
 
 
 def part_name(folder: Path, number: int) -> str:

@@ -21,7 +21,7 @@ from gear_dynamics_ros.parameters import Parameters, parse_parameters
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.parts import PartFile, StoredMessage, open_parts
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint
-from gear_dynamics_ros.topics import TOPICS, resolve
+from gear_dynamics_ros.topics import TOPICS, full_topic_name
 
 BLOCK_SAMPLES: Final = 20_000
 IMPACT: Final = np.dtype([(entry.name, "<f8") for entry in IMPACTS])  # one bearing contact
@@ -49,7 +49,7 @@ class Recording:
         self.parameters = parameters
         self.run = parts[0].run
         # Full names by key in TOPICS.
-        self.topic_names = {key: resolve(topic, self.run.node) for key, topic in TOPICS.items()}
+        self.topic_names = {key: full_topic_name(topic, self.run.node) for key, topic in TOPICS.items()}
         # The waveform holds the samples from the first to before the second.
         self.first_sample, self.end_sample = self._find_samples()
 

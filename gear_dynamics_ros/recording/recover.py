@@ -30,7 +30,7 @@ from gear_dynamics_ros.recording.mcap.writer import McapWriter
 from gear_dynamics_ros.recording.parts import part_files, reading
 from gear_dynamics_ros.simulation.checkpoint import StoredCheckpoint
 from gear_dynamics_ros.system.files import new_folder, replace_text, require_new
-from gear_dynamics_ros.topics import TOPICS, Topic, resolve
+from gear_dynamics_ros.topics import TOPICS, Topic, full_topic_name
 
 _LIBRARY: Final = f"{layout.RUN_METADATA} {__version__}"
 
@@ -201,7 +201,7 @@ class _SampleTracker:
         self.gaps: list[SampleRange] = []
         self.samples = 0  # of the present part
         self.span: SampleRange | None = None  # of the present part
-        self._topic = resolve(TOPICS["waveform"], self.node)
+        self._topic = full_topic_name(TOPICS["waveform"], self.node)
         self._expected: int | None = None
 
     def begin_part(self, first_sample: int | None) -> None:
@@ -469,7 +469,9 @@ def _data(stream: BinaryIO, end: int) -> Iterator[FoundRecord]:
 def _define(writer: McapWriter, definitions: Definitions, node: str) -> None:
     """Write schemas and channels; if there are none, those of all topics."""
     if not definitions.channels:
-        definitions = layout.channel_definitions((resolve(topic, node), topic) for topic in TOPICS.values())
+        definitions = layout.channel_definitions(
+            (full_topic_name(topic, node), topic) for topic in TOPICS.values()
+        )
     writer.add_definitions(*definitions)
 
 
@@ -495,7 +497,7 @@ def _copy_metadata(writer: McapWriter, content: Metadata) -> None:
 
 def _topics(schemas: Mapping[int, Schema], channels: Mapping[int, Channel], node: str) -> dict[str, Topic]:
     """Topics by full name, with the quality of service of this version or, if unknown to it, the default."""
-    known = {resolve(topic, node): topic for topic in TOPICS.values()}
+    known = {full_topic_name(topic, node): topic for topic in TOPICS.values()}
     return {
         channel.topic: known.get(channel.topic, Topic(channel.topic, schemas[channel.schema_id].name, ""))
         for channel in channels.values()

@@ -1,4 +1,4 @@
-"""Analyses a recording and writes the results: a summary, the impacts, and figures."""
+"""Analyses a recording and writes the results: a summary, a list of impacts, and figures."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class WholeRun(NamedTuple):
 
 
 class RecordingAnalysis(NamedTuple):
-    """What the summary and the figures of a recording are made from."""
+    """Data for the summary and the figures of a recording."""
 
     recording: Recording
     changes: Sequence[float]  # times of commands and events, s
@@ -41,8 +41,9 @@ def analyze_recording(
 ) -> RecordingAnalysis:
     """Read the whole recording once, and the window from ``start`` to before ``end`` (s) into memory.
 
-    Without both times, the window is the latest steady one. ``progress`` is called with the number of samples
-    read. Raises UsageError if the window can't be used, GearboxError if the recording is empty or damaged.
+    Without ``start`` and ``end``, the window is the latest steady one. ``progress`` is called with the number
+    of samples read. Raises UsageError if the window is invalid, GearboxError if the recording is empty or
+    damaged.
     """
     if recording.end_sample == recording.first_sample:
         raise GearboxError(f"{recording.path} holds no samples: nothing to analyse")
@@ -58,14 +59,14 @@ def write_numbers(analysis: RecordingAnalysis, folder: Path) -> list[Path]:
     recording is damaged.
     """
     written = [folder / SUMMARY_FILE]
-    found = _describe(analysis)
-    found["energy"], found["impacts"] = _energy_balance(analysis.recording), None
-    # Every chunk has energies, but not every one impacts.
-    if found["energy"] is not None:
+    content = _summary(analysis)
+    content["energy"], content["impacts"] = _energy_balance(analysis.recording), None
+    # A recording may have no impacts; energies show whether these were recorded.
+    if content["energy"] is not None:
         written.append(folder / IMPACTS_FILE)
-        found["impacts"] = _write_impacts(analysis.recording, written[-1])
+        content["impacts"] = _write_impacts(analysis.recording, written[-1])
     with output_file(written[0]) as stream:
-        stream.write(f"{json.dumps(found, indent=2, allow_nan=False)}\n".encode())
+        stream.write(f"{json.dumps(content, indent=2, allow_nan=False)}\n".encode())
     return written
 
 
@@ -101,7 +102,7 @@ def _read_whole(recording: Recording, progress: Callable[[int], None]) -> WholeR
     return whole
 
 
-def _describe(analysis: RecordingAnalysis) -> dict[str, Any]:
+def _summary(analysis: RecordingAnalysis) -> dict[str, Any]:
     recording = analysis.recording
     span = whole_span(recording)
     return {
@@ -121,7 +122,7 @@ def _describe(analysis: RecordingAnalysis) -> dict[str, Any]:
 
 
 def _event_to_json(event: OperatorEvent) -> dict[str, Any]:
-    """The event without the checkpoint that a restore brought, which stays in the recording."""
+    """The event without the checkpoint of a restore, which is in the recording."""
     entries = event._asdict()
     del entries["checkpoint"]
     entries["parameters"] = dict(event.parameters)
@@ -129,7 +130,7 @@ def _event_to_json(event: OperatorEvent) -> dict[str, Any]:
 
 
 def _energy_balance(recording: Recording) -> dict[str, Any] | None:
-    """The energy balance over the whole recording, None if it has no energies."""
+    """Energy balance over the whole recording; None if it has no energies."""
     resets = [event.sample for event in recording.events if event.kind in (RESET, RESTORE)]
     balance = ledger.EnergyLedger(resets)
     for time_ns, rows in recording.rows("energy"):

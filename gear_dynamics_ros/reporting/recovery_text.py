@@ -1,4 +1,4 @@
-"""What a recovery kept and lost, as text."""
+"""Report of a recovery as text."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from gear_dynamics_ros.recording.recover import RecoveredPart, Recovery, SampleR
 
 
 def recovery_lines(report: Recovery) -> Iterator[str]:
-    """What was kept and lost in each file and altogether."""
+    """What was kept and lost, for each file and in total, as lines of text."""
     yield f"{report.source}: recovered to {report.target}"
     for part in report.parts:
         yield f"  {part.name}  {part.size} bytes  {_state(part)}"
@@ -34,10 +34,10 @@ def _state(part: RecoveredPart) -> str:
     return f"breaks off at byte {part.break_at}: {behind}{left_out}"
 
 
-def _kept(of: RecoveredPart | Recovery, report: Recovery) -> str:
-    if of.span is None:
-        return f"{of.messages} messages, no samples"
-    return f"{of.messages} messages, {of.samples} samples, {_times(of.span, report)}"
+def _kept(result: RecoveredPart | Recovery, report: Recovery) -> str:
+    if result.span is None:
+        return f"{result.messages} messages, no samples"
+    return f"{result.messages} messages, {result.samples} samples, {_times(result.span, report)}"
 
 
 def _spoilt(parts: Sequence[RecoveredPart]) -> list[str]:
@@ -50,7 +50,7 @@ def _spoilt(parts: Sequence[RecoveredPart]) -> list[str]:
 
 
 def _times(span: SampleRange, report: Recovery) -> str:
-    """First and last sample with their times; if there are samples, their interval is known."""
+    """First and last sample with their times. If there are samples, their interval is known."""
     first, last = (sample * (report.sample_interval_ns or 0) / 1e9 for sample in (span.first, span.end - 1))
     return f"{span.first} to {span.end - 1} ({first:.6f} s to {last:.6f} s)"
 

@@ -1,4 +1,4 @@
-"""Which part of a recording is analysed in detail."""
+"""The window of a recording that is analysed in detail."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def choose_window(
 ) -> TimeSpan:
     """The window from ``start`` to before ``end`` (s); without both, the latest steady one.
 
-    ``changes`` are the times in s of commands and events. Raises UsageError if the window asked for is not
+    ``changes`` are the times in s of commands and events. Raises UsageError if the requested window is not
     finite, leaves the recording, or has fewer than MIN_SAMPLES or more than MAX_SAMPLES samples.
     """
     whole = whole_span(recording)
@@ -47,7 +47,7 @@ def _require_usable(window: TimeSpan, whole: TimeSpan, interval: float) -> None:
     asked = f"--from {window.start:g} --to {window.end:g} s"
     if not (math.isfinite(window.start) and math.isfinite(window.end)):
         raise UsageError(f"{asked}: give finite times")
-    # Half a sample of slack: the rounded times that a summary prints must be accepted.
+    # Half a sample of tolerance, so that the rounded times of a summary are accepted.
     slack = 0.5 * interval
     if window.start < whole.start - slack or window.end > whole.end + slack:
         raise UsageError(f"{asked} leaves the recording: stay within {whole.start:g} and {whole.end:g} s")

@@ -1,1 +1,1 @@
-"""The node and the clients: all that needs rclpy."""
+"""The node and its clients: the only modules that import rclpy."""

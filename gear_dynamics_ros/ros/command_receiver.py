@@ -1,4 +1,4 @@
-"""Command messages from their topics to the mailbox of the engine."""
+"""Passes command messages from their topics to the mailbox of the engine."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from gear_dynamics_ros.realtime.mailbox import Mailbox
 from gear_dynamics_ros.ros import node_topics
 
 WARNING_INTERVAL = 5.0  # s
-MOST_NAMES = 100  # of joints and topics that were warned of
+MOST_NAMES = 100  # of joints and topics in warnings
 
 
 class CommandReceiver:
-    """Decodes commands, hands them over, and warns of what is wrong with them."""
+    """Decodes commands, passes them to the mailbox, and warns of invalid ones."""
 
     def __init__(self, node: Node, mailbox: Mailbox, joint_prefix: str) -> None:
         self._node = node
@@ -27,7 +27,7 @@ class CommandReceiver:
         self._warned: set[str] = set()
 
     def receive(self, key: str, data: bytes) -> None:
-        """Take the message ``data``, in CDR, of the command ``key`` in TOPICS."""
+        """Take the message ``data`` (CDR) on the command topic ``key`` (in TOPICS)."""
         try:
             message = node_topics.read_command(key, data)
         except GearboxError as error:
@@ -42,7 +42,7 @@ class CommandReceiver:
             self._log.warning(refusal, throttle_duration_sec=WARNING_INTERVAL)
 
     def topics_with_several_publishers(self) -> list[str]:
-        """Full names of the command topics on which several publish."""
+        """Full names of the command topics that have several publishers."""
         names = node_topics.command_names(self._node)
         topics = [name for name in names if self._node.count_publishers(name) > 1]
         for name in topics:

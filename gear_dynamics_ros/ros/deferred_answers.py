@@ -1,4 +1,4 @@
-"""Answers of services that are sent when the work is done, while the executor serves everything else."""
+"""Answers of services that are sent when the work is done, while the executor continues."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.system.threads import name_thread
 
 T = TypeVar("T")
-# Calls and answers that may wait at once, as for the parameter services of rclpy. Its default of 10 drops the
-# calls that come faster than they are taken, and their clients wait for ever.
+# Calls and answers that may wait at once, as for the parameter services of rclpy. With its default of 10,
+# calls that arrive faster than they are served are dropped, and their clients wait for ever.
 SERVICE_QUALITY = QoSProfile(depth=1000)
-# s between two answers to calls that came together. The queue of answers in a client holds 10 by default, and
-# gets the answers to all clients of the service: those that come faster than they are taken are lost.
+# s between the answers to simultaneous calls. A client queues 10 answers by default, and receives the answers
+# to all clients of the service: those that arrive faster than it takes them are lost.
 SPACING = 0.005
-EXPECTED = ["self", "response", "header"]
+SEND_RESPONSE_PARAMETERS = ["self", "response", "header"]
 NOT_DEFERRED = "internal error: rclpy sent this answer before the work was done; see the log for the result"
 
 
 class AnswerSender:
-    """Sends the answers of all services, one after another, on a thread of its own.
+    """Sends the answers of all services, one after another, on its own thread.
 
-    Whoever calls again after each answer is answered at once; only calls that came together wait.
+    A client that waits for each answer gets it at once; only answers to simultaneous calls are spaced.
     """
 
     def __init__(self) -> None:
@@ -46,11 +46,11 @@ class AnswerSender:
         self._thread.start()
 
     def put(self, header: Any, send: Callable[[], None]) -> None:
-        """Call ``send`` for the request with ``header``, after those before it; from any thread."""
+        """Queue ``send``, which sends the answer to the request with ``header``. For any thread."""
         self._waiting.put((header.received_timestamp, send))
 
     def close(self) -> None:
-        """Send what waits, and end."""
+        """Send all queued answers, and end the thread."""
         self._waiting.put(None)
         self._thread.join()
 
@@ -61,16 +61,16 @@ class AnswerSender:
             if received_ns < self._sent_ns:
                 time.sleep(max(0.0, SPACING - (time.time_ns() - self._sent_ns) * 1e-9))
             self._sent_ns = time.time_ns()
-            with contextlib.suppress(InvalidHandle):  # the service has gone, and with it whoever waited
+            with contextlib.suppress(InvalidHandle):  # the service was destroyed
                 send()
 
 
 class DeferredAnswers:
-    """Sends the answers of one service later than its callback returns.
+    """Sends the answers of one service after its callback has returned.
 
-    rclpy sends what a callback returns at once, and its executor driven by events knows no coroutines. Both
-    of its executors call ``Service.send_response`` with what the callback returned: that method is replaced,
-    for this one object. Raises GearboxError if this rclpy has another one than Jazzy's.
+    rclpy sends at once what a callback returns, and its events executor does not support coroutines. All its
+    executors call ``Service.send_response`` with what the callback returned: that method is replaced, for
+    this one object. Raises GearboxError if this method is not that of Jazzy.
     """
 
     def __init__(self, service: Service, sender: AnswerSender) -> None:
@@ -81,18 +81,18 @@ class DeferredAnswers:
         service.send_response = self._send_when_done  # type: ignore[method-assign]
 
     def defer(self, response: Any, work: Future[Any], complete: Callable[[], None]) -> None:
-        """Once the callback has returned ``response``, send it when ``work`` is done.
+        """Send ``response``, which the callback then returns, when ``work`` is done.
 
-        ``complete`` is called before, on the thread of the sender, to fill in the result.
+        Before, ``complete`` is called on the thread of the sender to fill in the result.
         """
         self._deferred[id(response)] = work, complete
 
     def _send_when_done(self, response: Any, header: Any) -> None:
-        found = self._deferred.pop(id(response), None)
-        if found is None:
+        deferred = self._deferred.pop(id(response), None)
+        if deferred is None:
             self._sender.put(header, lambda: self._send(response, header))
             return
-        work, complete = found
+        work, complete = deferred
 
         def send() -> None:
             complete()
@@ -102,30 +102,30 @@ class DeferredAnswers:
 
 
 def require_send_response() -> None:
-    """Raise GearboxError unless rclpy sends answers by the method that ``DeferredAnswers`` replaces."""
+    """Raise GearboxError unless rclpy has the method that ``DeferredAnswers`` replaces."""
     method = getattr(Service, "send_response", None)
-    found = None if method is None else list(inspect.signature(method).parameters)
-    if found != EXPECTED:
+    parameters = None if method is None else list(inspect.signature(method).parameters)
+    if parameters != SEND_RESPONSE_PARAMETERS:
         raise GearboxError(
-            f"rclpy: Service.send_response has the parameters {found}, expected {EXPECTED}: use the rclpy of "
-            "ROS 2 Jazzy"
+            f"rclpy: Service.send_response has the parameters {parameters}, expected "
+            f"{SEND_RESPONSE_PARAMETERS}: use the rclpy of ROS 2 Jazzy"
         )
 
 
 def answer_when_done(
     node: Node, sender: AnswerSender, kind: Any, name: str, start: Callable[[Any], Future[str]]
 ) -> None:
-    """Create the service ``name`` of type ``kind``, one with ``success`` and ``message`` in its answer.
+    """Create the service ``name`` of type ``kind``, whose answer has ``success`` and ``message``.
 
-    ``start`` gets the request and starts the work; the answer tells its result in words. Whatever is raised
-    by either is answered with ``success: false`` and the error.
+    ``start`` gets the request and starts the work; its result is the message. If ``start`` or the work raises
+    an error, the answer is ``success: false`` with the error.
     """
 
     def callback(request: Any, response: Any) -> Any:
         try:
             work = start(request)
         except Exception as error:
-            response.message = _words(node, error)
+            response.message = _message(node, error)
             return response
         response.message = NOT_DEFERRED
         answers.defer(response, work, lambda: _fill(node, response, work))
@@ -138,10 +138,10 @@ def answer_when_done(
 def defer_parameter_answers(
     node: Node, sender: AnswerSender, work_begun: Callable[[], Future[Any] | None]
 ) -> None:
-    """Let the services that set parameters of ``node`` answer when the change is in force.
+    """Make the services that set parameters of ``node`` answer when the change is in force.
 
-    ``work_begun`` is called after each request for the work that it began, if any. If that fails, or rclpy
-    raises, the answer says that nothing was set, and why.
+    ``work_begun`` is called after each request and returns the work that the request began, if any. If that
+    work fails, or rclpy raises an error, the answer says that nothing was set, and why.
     """
     for service in list(node.services):
         if service.srv_type in (SetParameters, SetParametersAtomically):
@@ -154,7 +154,7 @@ def _defer_parameter_answers(
     answers, set_parameters = DeferredAnswers(service, sender), service.callback
 
     def refuse(request: Any, response: Any, error: BaseException) -> None:
-        result = SetParametersResult(successful=False, reason=_words(node, error))
+        result = SetParametersResult(successful=False, reason=_message(node, error))
         if service.srv_type is SetParameters:
             response.results = [result] * len(request.parameters)
         else:
@@ -180,7 +180,7 @@ def _defer_parameter_answers(
 
 
 def on_executor(node: Node, first: Future[T], act: Callable[[], None]) -> Future[T]:
-    """Result of ``first``, once ``act`` has been called after it on the thread that spins ``node``."""
+    """Result of ``first``, after ``act`` was called on the thread that spins ``node``."""
     result: Future[T] = Future()
 
     def proceed() -> None:
@@ -205,11 +205,11 @@ def _fill(node: Node, response: Any, work: Future[str]) -> None:
         response.message = work.result()
         response.success = True
     except Exception as error:
-        response.message = _words(node, error)
+        response.message = _message(node, error)
         response.success = False
 
 
-def _words(node: Node, error: BaseException) -> str:
+def _message(node: Node, error: BaseException) -> str:
     if isinstance(error, GearboxError | OSError):
         return str(error)
     log: Any = node.get_logger()

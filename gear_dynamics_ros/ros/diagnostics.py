@@ -1,4 +1,4 @@
-"""State of the gearbox as a message of diagnostic_msgs."""
+"""State of the gearbox as diagnostic_msgs messages."""
 
 from __future__ import annotations
 
@@ -27,6 +27,8 @@ UNITS = {"drive_torque": "N m", "load_torque": "N m", "speed": "rad/s"}
 
 
 class RunHealth(NamedTuple):
+    """State of the run."""
+
     state: RunState
     active: bool  # whether the engine's thread runs
     time: float  # simulated, s
@@ -38,6 +40,8 @@ class RunHealth(NamedTuple):
 
 
 class CommandHealth(NamedTuple):
+    """Commands in force, and how they were received."""
+
     counts: CommandCounts
     in_force: Commands
     several_publishers: Sequence[str]  # command topics that have several
@@ -45,27 +49,35 @@ class CommandHealth(NamedTuple):
 
 
 class RecorderHealth(NamedTuple):
+    """State of the present recording, or of one that could not begin."""
+
     path: str
-    stats: RecorderStats | None  # None where a recording was wanted and could not begin
+    stats: RecorderStats | None  # None if the recording could not begin
     error: str | None
 
 
 class RingHealth(NamedTuple):
-    held: float  # s, simulated
+    """Content of the ring."""
+
+    held: float  # simulated time, s
     bytes: int
-    snapshot: str  # path of the last one written
+    snapshot: str  # path of the last snapshot written
 
 
 class ViewerHealth(NamedTuple):
+    """Chunks queued for and dropped by the viewer, and its error."""
+
     queued: int
     dropped: int
     error: str | None
 
 
 class Health(NamedTuple):
+    """State of the run and of everything that serves it."""
+
     run: RunHealth
     pace: Pace
-    wanted_factor: float
+    requested_factor: float
     commands: CommandHealth
     counters: Counters
     condition: Condition | None
@@ -77,16 +89,16 @@ class Health(NamedTuple):
 def collect_health(
     session: Session, pace: Pace, viewer: Viewer | None, several_publishers: Sequence[str]
 ) -> Health:
-    """State of the run and of everything that serves it.
+    """Collect the state of ``session`` and of everything that serves it.
 
-    ``pace`` is that since the last report, ``several_publishers`` names the command topics that have several.
+    ``pace`` is since the last report; ``several_publishers`` are command topics with several publishers.
     """
     thread = session.engine_thread
     counts = thread.mailbox.counts(time.monotonic_ns())
     return Health(
         run=RunHealth(session.state, thread.active, thread.time),
         pace=pace,
-        wanted_factor=session.parameters.pacing.real_time_factor,
+        requested_factor=session.parameters.pacing.real_time_factor,
         commands=CommandHealth(counts, thread.run.engine.commands, several_publishers, thread.timed_out),
         counters=thread.counters,
         condition=session.condition.report(),
@@ -113,14 +125,14 @@ def _ring_health(session: Session) -> RingHealth | None:
 
 
 class SurfaceWaves(NamedTuple):
-    """Highest wave of the tooth surfaces beside what the waveform can show, Hz."""
+    """Highest frequency of the tooth surfaces, and the highest one that the waveform can resolve, Hz."""
 
     top_wave: float
     nyquist: float
 
 
 def surface_waves(parameters: Parameters, speed: float) -> SurfaceWaves:
-    """The highest surface wave at the driving speed ``speed`` in rad/s."""
+    """Frequencies at the driving speed ``speed`` in rad/s."""
     gears, ladder = parameters.gears, parameters.surface.scale ** (parameters.surface.waves - 1)
     rough = max(parameters.surface.driving.roughness, parameters.surface.driven.roughness) > 0.0
     waves = gears.driving.teeth * ladder if rough else 0.0
@@ -130,7 +142,7 @@ def surface_waves(parameters: Parameters, speed: float) -> SurfaceWaves:
 def diagnostic_statuses(
     name: str, node: str, health: Health, waves: SurfaceWaves, checks: Sequence[Check]
 ) -> list[Any]:
-    """One DiagnosticStatus a task; ``name`` heads each, ``node`` is the hardware_id."""
+    """One DiagnosticStatus for each task; ``name`` begins each name, ``node`` is the hardware_id."""
     tasks = {
         "run": _run(health.run),
         "pacing": _pacing(health),
@@ -175,16 +187,16 @@ def _pacing(health: Health) -> _Task:
     pace = health.pace
     values = {
         "real-time factor": f"{pace.real_time_factor:.4g}",
-        "real-time factor wanted": f"{health.wanted_factor:g}",
+        "real-time factor wanted": f"{health.requested_factor:g}",
         "overruns": pace.overruns,
         "worst lateness (s)": f"{pace.worst_lateness:.6f}",
         "slipped (s)": f"{pace.slipped:.6f}",
     }
     if health.run.name != "running":
         return STALE, health.run.name, values
-    if health.wanted_factor > 0.0 and pace.real_time_factor < 0.95 * health.wanted_factor:
+    if health.requested_factor > 0.0 and pace.real_time_factor < 0.95 * health.requested_factor:
         return WARN, "too slow: lower pacing.real_time_factor or lengthen solver.step", values
-    return OK, "on time" if health.wanted_factor > 0.0 else "as fast as possible", values
+    return OK, "on time" if health.requested_factor > 0.0 else "as fast as possible", values
 
 
 def _commands(commands: CommandHealth) -> _Task:

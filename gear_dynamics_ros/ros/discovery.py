@@ -1,4 +1,4 @@
-"""Whom ROS 2 listens to: this machine alone, unless the environment asks for more."""
+"""Keeps the communication of ROS 2 on this machine, unless the environment says otherwise."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from gear_dynamics_ros.system.share import share_file
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 LOCAL = "LOCALHOST"
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
-# Each of these decides by itself whom ROS 2 reaches, and how.
+# Each of these variables sets by itself which machines ROS 2 reaches, and how.
 DECIDING = (
     "FASTDDS_DEFAULT_PROFILES_FILE",
     PROFILES,
@@ -20,13 +20,13 @@ DECIDING = (
 
 
 def stay_local() -> None:
-    """Keep the ROS 2 of this process on this machine; to be called before rclpy starts.
+    """Keep ROS 2 communication of this process on this machine. Call it before rclpy starts.
 
-    Does nothing where the environment names another discovery range or one of DECIDING. Raises GearboxError
-    if the package's Fast DDS profile is missing.
+    Does nothing if the environment sets another discovery range or one of DECIDING. Raises GearboxError if
+    the Fast DDS profile of the package is missing.
     """
     if any(os.environ.get(name) for name in DECIDING) or (os.environ.get(RANGE) or LOCAL) != LOCAL:
         return
     os.environ[RANGE] = LOCAL
-    # The range alone confines discovery, but Fast DDS would still receive on every interface.
+    # The range limits discovery only: Fast DDS would still receive on all interfaces.
     os.environ[PROFILES] = str(share_file("config/fastdds_local.xml"))

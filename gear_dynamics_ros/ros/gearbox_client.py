@@ -1,4 +1,4 @@
-"""What every client of a running gearbox needs: a ROS context, requests with a time limit, signals."""
+"""Base of all clients of a running gearbox: a ROS context, requests with a time limit, signals."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
-from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.errors import GearboxError, UsageError, one_line
 from gear_dynamics_ros.ros.discovery import stay_local
 from gear_dynamics_ros.ros.node_topics import message_type, quality
-from gear_dynamics_ros.topics import TOPICS, resolve
+from gear_dynamics_ros.topics import TOPICS, full_topic_name
 
-POLL = 0.1  # s of wall time between two looks for a signal
+POLL = 0.1  # s of wall time between two checks for a signal
 
 
 @contextmanager
 def ros_context(node: str, arguments: Sequence[str]) -> Iterator[Context]:
-    """A context to make entities below the name ``node`` in; ``arguments`` are those from --ros-args on.
+    """ROS context for a client of ``node``; ``arguments`` are those from --ros-args on.
 
-    Raises UsageError where ROS can't read them, or on an impossible name.
+    Raises UsageError on invalid arguments, or if ``node`` is not a valid name.
     """
     stay_local()
     context = Context()
     try:
         rclpy.init(args=list(arguments), context=context, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # what rclpy raises on arguments it can't read
-        raise UsageError(f"ROS did not start: {' '.join(str(error).split())}") from error
+        raise UsageError(f"ROS did not start: {one_line(error)}") from error
     try:
         yield context
     except (InvalidTopicNameException, InvalidServiceNameException) as error:
@@ -49,15 +49,15 @@ def ros_context(node: str, arguments: Sequence[str]) -> Iterator[Context]:
 
 
 class GearboxClient(ABC):
-    """A node that asks one gearbox and listens to it, all on the caller's thread.
+    """A node that sends requests to one gearbox and listens to it, all on the caller's thread.
 
-    While ``interruptible``, a signal in ``received`` raises GearboxError at the next wait.
+    While ``_interruptible``, a signal in ``received`` raises GearboxError at the next wait.
     """
 
     def __init__(
         self, context: Context, client: str, gearbox: str, timeout: float, received: Sequence[int]
     ) -> None:
-        """``client`` is the node's own name, ``gearbox`` a full name; ``timeout`` is for each answer, s."""
+        """``client`` is the name of this node, ``gearbox`` a full name; ``timeout`` is for each answer, s."""
         self._name = gearbox
         self._timeout = timeout
         self._received = received
@@ -72,17 +72,17 @@ class GearboxClient(ABC):
 
     @abstractmethod
     def _progress(self) -> str:
-        """How far the client is, such as "2 s of the profile's 10 s"."""
+        """Progress of the client as text, such as "2 s of the profile's 10 s"."""
 
     def _listen(self, key: str, take: Callable[[Any], None]) -> Subscription:
-        """Give ``take`` each message of the topic ``key`` in TOPICS."""
+        """Call ``take`` with each message on the topic ``key`` (in TOPICS)."""
         topic = TOPICS[key]
         return self._ros.create_subscription(
-            message_type(topic.type), resolve(topic, self._name), take, quality(topic)
+            message_type(topic.type), full_topic_name(topic, self._name), take, quality(topic)
         )
 
     def _until(self, condition: Callable[[], bool], longest: float) -> bool:
-        """Serve what comes until ``condition`` holds; False if it does not within ``longest`` s."""
+        """Serve callbacks until ``condition`` holds; returns False if it does not within ``longest`` s."""
         deadline = time.monotonic() + longest
         while not condition():
             left = deadline - time.monotonic()
@@ -92,14 +92,14 @@ class GearboxClient(ABC):
         return True
 
     def _spin(self, longest: float) -> None:
-        """Serve what comes within ``longest`` s, POLL s at most."""
+        """Serve callbacks for at most ``longest`` s, and at most POLL s."""
         if self._interruptible and self._received:
             name = signal.Signals(self._received[0]).name
             raise GearboxError(f"interrupted by {name} at {self._progress()}")
         self._executor.spin_once(timeout_sec=min(POLL, longest))
 
     def _refusal(self, values: Mapping[str, Any]) -> str:
-        """Set parameters, all or none; returns why the gearbox refused that, empty if it did not."""
+        """Set parameters, all or none; returns the reason if the gearbox refuses, else an empty text."""
         request = SetParametersAtomically.Request()
         request.parameters = [
             Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
@@ -108,16 +108,16 @@ class GearboxClient(ABC):
         return "" if result.successful else one_line(result.reason) or "no reason given"
 
     def _succeed(self, client: Any, request: Any, what: str) -> None:
-        """Call a service, which must not refuse."""
+        """Call a service. Raises GearboxError if it refuses or does not answer in time."""
         answer = self._answer(client, request, what)
         if not answer.success:
             raise GearboxError(f"{self._name} was asked {what}: {one_line(answer.message)}")
 
     def _answer(self, client: Any, request: Any, what: str) -> Any:
         future = client.call_async(request)
-        # A step is given up by the gearbox itself after the timeout, and then answered.
-        patience = self._timeout + POLL
-        if not self._until(lambda: future.done() or not client.service_is_ready(), patience):
+        # The gearbox itself aborts a step after the time limit, and answers then.
+        longest = self._timeout + POLL
+        if not self._until(lambda: future.done() or not client.service_is_ready(), longest):
             raise GearboxError(
                 f"{self._name} was asked {what} and did not answer within {self._timeout:g} s: see its log, "
                 "or give a longer --timeout"
@@ -127,7 +127,7 @@ class GearboxClient(ABC):
         return future.result()
 
     def _signal(self, failure: str) -> int:
-        """Number of the signal that caused ``failure``; 0 if none did."""
+        """Number of the signal that caused ``failure``; 0 if none did, or ``failure`` is empty."""
         return self._received[0] if failure and self._received else 0
 
 
@@ -137,8 +137,3 @@ def not_seen(gearbox: str, wait: float) -> str:
         f"no gearbox {gearbox} was seen for {wait:g} s: start it, name it with --node, compare "
         "ROS_DOMAIN_ID, or give a longer --wait"
     )
-
-
-def one_line(text: str) -> str:
-    """``text`` with its line breaks as spaces."""
-    return " ".join(text.split())

@@ -1,4 +1,4 @@
-"""Plays a script to a gearbox over ROS 2, to the sample: paused, and stepped from one to the next."""
+"""Plays a script to a paused gearbox over ROS 2, stepping it, so that each action is at its exact sample."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from gear_dynamics_ros.chunk import Commands
-from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.errors import GearboxError, UsageError, one_line
 from gear_dynamics_ros.events import CHANGE, PAUSE
 from gear_dynamics_ros.messages.cdr import stamp_ns
 from gear_dynamics_ros.messages.decoder import applied_commands
@@ -26,27 +26,27 @@ from gear_dynamics_ros.replay.publish import (
     ScriptStep,
     require_chunk_edges,
 )
-from gear_dynamics_ros.ros.gearbox_client import GearboxClient, not_seen, one_line, ros_context
+from gear_dynamics_ros.ros.gearbox_client import GearboxClient, not_seen, ros_context
 from gear_dynamics_ros.ros.node_topics import quality
 from gear_dynamics_ros.system.processes import noted_signals
-from gear_dynamics_ros.topics import TOPICS, resolve
+from gear_dynamics_ros.topics import TOPICS, full_topic_name
 
-# Simulated time that one call of ~/step makes at most: between two, signals and progress are looked at.
+# Longest simulated time of one call of ~/step. Signals and progress are handled between two calls.
 LONGEST_STEP_NS = 200_000_000
-MOST_CHUNKS = 1_000_000  # what stepping.chunks can be
+MOST_CHUNKS = 1_000_000  # upper bound of stepping.chunks
 _DOUBT = "see its log: it may have refused one, or have got one late, or somebody else commands it"
-# What this sets on the gearbox, and puts back.
+# Parameters of the gearbox that this client sets, and sets back at the end.
 STEP_CHUNKS, STEP_TIMEOUT = "stepping.chunks", "stepping.timeout"
 
 
 class ScriptOutcome(NamedTuple):
-    """How far a script was played; ``failure`` is why it was not played to its end, empty if it was."""
+    """Result of playing a script."""
 
-    origin: int  # sample of the gearbox at the script's time 0; -1 if it did not come to that
+    origin: int  # sample of the gearbox at time 0 of the script; -1 if that was not reached
     time_ns: int  # simulated since then
     published: int  # commands
-    left_running: bool  # as before the play; otherwise left paused
-    failure: str
+    left_running: bool  # whether the gearbox runs, as before the play; otherwise it is paused
+    failure: str  # why it was not played to its end; empty if it was
     signal: int  # number of the signal that interrupted it, 0 if none did
 
 
@@ -58,11 +58,11 @@ def play_script(
     watch: Callable[[int], None],
     ros_arguments: Sequence[str] = (),
 ) -> ScriptOutcome:
-    """Play ``script`` to the gearbox with the full name ``node``; ``watch`` gets the ns of it that are over.
+    """Play ``script`` to the gearbox with the full name ``node``; ``watch`` gets the time played, ns.
 
     Waits ``wait`` s for the gearbox to be ready, then at most ``timeout`` s for each answer. SIGINT and
-    SIGTERM break it off; call it on the main thread. However it ends, the gearbox goes on or stays paused as
-    it was found. Raises UsageError on an impossible name, and where a moment lies within a chunk.
+    SIGTERM interrupt it; call it on the main thread. At the end, also after a failure, the gearbox runs or is
+    paused as before. Raises UsageError on an invalid name, and if a step of the script lies within a chunk.
     """
     with noted_signals() as received, ros_context(node, ros_arguments) as context:
         player = _ScriptClient(context, script, node, timeout, watch, received)
@@ -82,13 +82,13 @@ def play_script(
 
 
 class _GearboxInfo(NamedTuple):
-    """What ``~/model_info`` says of the gearbox."""
+    """Content of ``~/model_info``."""
 
     epoch_ns: int
     interval_ns: int
     chunk_samples: int
     joints: tuple[str, str]  # driving, driven
-    stepping: dict[str, Any]  # parameters, as found
+    stepping: dict[str, Any]  # its stepping parameters before the play
 
     @property
     def chunk_ns(self) -> int:
@@ -96,15 +96,15 @@ class _GearboxInfo(NamedTuple):
 
 
 class _InForce(NamedTuple):
-    stamp_ns: int  # from which on
+    stamp_ns: int  # of the first sample with these commands
     commands: Commands
 
 
 class _ScriptClient(GearboxClient):
-    """One play, all on the caller's thread.
+    """Plays one script, all on the caller's thread.
 
-    A command and the step after it go one way to one process, which takes them in the order in which they
-    come. That it did is checked: ``~/command/applied`` names the sample from which commands are in force.
+    A command is published before the step that must use it, but ROS does not guarantee that it arrives first.
+    So this is checked: ``~/command/applied`` names the sample from which commands are in force.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ class _ScriptClient(GearboxClient):
         self._script = script
         self._watch = watch
         joint = TOPICS["joint_command"]
-        self._commands = self._ros.create_publisher(JointState, resolve(joint, node), quality(joint))
+        self._commands = self._ros.create_publisher(JointState, full_topic_name(joint, node), quality(joint))
         self._listen("model_info", self._take_info)
         self._listen("event", self._take_event)
         self._listen("applied_command", self._take_applied)
@@ -139,30 +139,30 @@ class _ScriptClient(GearboxClient):
         self._time_ns = 0
         self._published = 0
 
-    # What play does, in this order
+    # The phases of a play, in this order
 
     def join(self, wait: float) -> None:
-        """Return once the gearbox can be asked for everything and takes commands."""
+        """Wait until the gearbox offers all services and listens to commands."""
         if not self._until(self._ready, wait):
             raise GearboxError(self._absence(wait))
 
     def play(self) -> None:
-        """Play the script to its end, the last chunk begun included."""
+        """Play the script to its end, rounded up to a whole chunk."""
         gearbox = self._known
         require_chunk_edges(self._script, gearbox.chunk_ns)
-        self._halt()
-        moments = self._script.steps
-        ends = [moment.time_ns for moment in moments[1:]]
+        self._pause_and_locate()
+        steps = self._script.steps
+        ends = [step.time_ns for step in steps[1:]]
         last = -(-self._script.duration_ns // gearbox.chunk_ns) * gearbox.chunk_ns
-        for moment, end_ns in zip(moments, [*ends, last], strict=True):
-            for act in moment.actions:
-                self._do(act)
-            self._command(moment)
+        for step, end_ns in zip(steps, [*ends, last], strict=True):
+            for action in step.actions:
+                self._perform(action)
+            self._command(step)
             self._advance(end_ns)
-            self._check(moment)
+            self._check(step)
 
     def leave(self) -> None:
-        """Let the gearbox go on if it did before, with the parameters it had."""
+        """Let the gearbox run again if it ran before, and set its parameters back."""
         self._interruptible = False
         if not self._stepping:
             return
@@ -171,7 +171,7 @@ class _ScriptClient(GearboxClient):
         self._set(self._known.stepping)
 
     def outcome(self, failure: str) -> ScriptOutcome:
-        """What came of it."""
+        """Result of the play; ``failure`` is empty if it succeeded so far."""
         if not failure and self._unexpected is not None:
             failure = self._other_commands(self._unexpected)
         return ScriptOutcome(
@@ -185,57 +185,57 @@ class _ScriptClient(GearboxClient):
 
     # The gearbox
 
-    def _halt(self) -> None:
-        """Pause the gearbox; note at which sample, and whether it ran."""
+    def _pause_and_locate(self) -> None:
+        """Pause the gearbox; note its next sample, and whether it ran before."""
         self._interruptible = False
         self._set({STEP_TIMEOUT: min(self._timeout, specifications()[STEP_TIMEOUT].maximum or self._timeout)})
-        self._mark()
+        self._next_sample()
         self._events.clear()
-        self._stand()
-        # Events come in order: between two marks there is one of the pause if that changed anything.
-        self._origin = self._mark()
+        self._pause_gearbox()
+        # Events arrive in order: if the gearbox ran, an event of the pause has arrived before this one.
+        self._origin = self._next_sample()
         self._origin_ns = self._known.epoch_ns + self._origin * self._known.interval_ns
         self._found_running = any(event["event"] == PAUSE for event in self._events)
         self._interruptible = True
 
-    def _stand(self) -> None:
+    def _pause_gearbox(self) -> None:
         request = SetBool.Request(data=True)
         answer = self._answer(self._pause, request, "to pause")
         if not answer.success and ResetAction() in self._script.steps[0].actions:
-            # A run that has ended can't be paused before a reset.
-            self._do(ResetAction())
+            # A run that has ended can be paused only after a reset.
+            self._perform(ResetAction())
             answer = self._answer(self._pause, request, "to pause")
         if not answer.success:
             raise GearboxError(f"{self._name} did not pause: {one_line(answer.message)}")
 
-    def _mark(self) -> int:
-        """The sample that the gearbox is to make next, from an event that this causes."""
-        # Latched events of an earlier play may still arrive: a number of its own tells this one from them.
+    def _next_sample(self) -> int:
+        """The next sample of the gearbox, from the event of a change of parameters that this makes."""
+        # Latched events of an earlier play may still arrive: a random value identifies the event.
         number = random.randrange(2, MOST_CHUNKS)
-        found: list[int] = []
+        samples: list[int] = []
 
-        def come() -> bool:
-            found.extend(
+        def arrived() -> bool:
+            samples.extend(
                 int(event["sample"])
                 for event in self._events
                 if event["event"] == CHANGE and event.get("parameters", {}).get(STEP_CHUNKS) == number
             )
-            return bool(found)
+            return bool(samples)
 
         self._set({STEP_CHUNKS: number})
-        if not self._until(come, self._timeout):
+        if not self._until(arrived, self._timeout):
             raise GearboxError(f"{self._name} published no event for {self._timeout:g} s: see its log")
-        return found[0]
+        return samples[0]
 
-    def _do(self, act: ScriptAction) -> None:
-        if isinstance(act, ResetAction):
+    def _perform(self, action: ScriptAction) -> None:
+        if isinstance(action, ResetAction):
             self._succeed(self._reset, Trigger.Request(), "to reset")
         else:
-            self._set(act.parameters)
+            self._set(action.parameters)
 
-    def _command(self, moment: ScriptStep) -> None:
-        commands = moment.commands
-        self._expected[self._origin_ns + moment.time_ns] = commands
+    def _command(self, step: ScriptStep) -> None:
+        commands = step.commands
+        self._expected[self._origin_ns + step.time_ns] = commands
         message = JointState(
             name=list(self._known.joints),
             velocity=[commands.speed, math.nan],
@@ -246,7 +246,7 @@ class _ScriptClient(GearboxClient):
         self._published += 1
 
     def _advance(self, end_ns: int) -> None:
-        """Simulate up to ``end_ns`` since the script's start."""
+        """Step the gearbox to the time ``end_ns`` of the script."""
         chunk_ns = self._known.chunk_ns
         most = min(max(1, LONGEST_STEP_NS // chunk_ns), MOST_CHUNKS)
         while self._time_ns < end_ns:
@@ -257,12 +257,11 @@ class _ScriptClient(GearboxClient):
             self._time_ns += chunks * chunk_ns
             self._watch(min(self._time_ns, self._script.duration_ns))
 
-    def _check(self, moment: ScriptStep) -> None:
-        """Raise GearboxError unless the commands of ``moment`` came in force at its sample."""
-        wanted = moment.commands
+    def _check(self, step: ScriptStep) -> None:
+        """Raise GearboxError unless the commands of ``step`` acted from its sample on."""
 
         def reported() -> bool:
-            in_force = self._in_force is not None and self._in_force.commands == wanted
+            in_force = self._in_force is not None and self._in_force.commands == step.commands
             return in_force or self._unexpected is not None
 
         self._until(reported, self._timeout)
@@ -270,8 +269,8 @@ class _ScriptClient(GearboxClient):
             raise GearboxError(self._other_commands(self._unexpected))
         if not reported():
             raise GearboxError(
-                f"{self._name} did not put the commands of {moment.time_ns / 1e9:.9g} s in force: "
-                f"{wanted}; {_DOUBT}"
+                f"{self._name} did not put the commands of {step.time_ns / 1e9:.9g} s in force: "
+                f"{step.commands}; {_DOUBT}"
             )
 
     def _other_commands(self, found: _InForce) -> str:

@@ -1,4 +1,4 @@
-"""The node ``gearbox``: parameters, topics, services and the transitions of one live run; wiring only."""
+"""The node ``gearbox``: connects parameters, topics, services and transitions with one session."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class GearboxNode(LifecycleNode):
     """Managed node around one session. Raises UsageError if a parameter is invalid."""
 
     def __init__(self, stop: Callable[[str], None]) -> None:
-        """``stop`` is called with the reason, on the engine's thread, when ``pacing.duration`` is over."""
+        """``stop`` is called on the engine's thread with the reason when ``pacing.duration`` is simulated."""
         super().__init__("gearbox", automatically_declare_parameters_from_overrides=True)
         self._stop = stop
         self._log: Any = self.get_logger()  # type: ignore[no-untyped-call]
@@ -50,7 +50,7 @@ class GearboxNode(LifecycleNode):
         )
         self.failure: GearboxError | None = None
         self._log_failures = True
-        # A steady clock: diagnostics go on whatever happens to the time of the system or to /clock.
+        # Steady, so that changes of the system time or of /clock do not affect diagnostics.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._cleanups: list[Callable[[], Any]] = []  # destroy the entities of the configured node
         self._publishers_by_key: dict[str, Any] = {}
@@ -60,9 +60,9 @@ class GearboxNode(LifecycleNode):
         self._commands = CommandReceiver(self, self._mailbox, self.parameters.joint_prefix)
         self._session: Session | None = None
         self._recorded_before = False
-        self._errors_logged = 0  # of those of the present session's recordings
-        self.recording_failed = False  # any recording, of any session
-        # They outlive the session, so that a call under way when it ends is answered.
+        self._errors_logged = 0  # number of recording errors of the present session in the log
+        self.recording_failed = False  # whether any recording of any session failed
+        # Services exist longer than the session, so that a call in progress when it ends is answered.
         create_services(self, self._answers, self._active_session, self._restore_checkpoint)
 
     @property
@@ -80,7 +80,7 @@ class GearboxNode(LifecycleNode):
         self._log_failures = True
 
     def end(self, reason: str) -> None:
-        """Finish everything; the node is of no use afterwards."""
+        """Finish everything. The node can't be used afterwards."""
         if self._session is not None:
             self._log.info(f"ending: {reason}")
         try:
@@ -133,7 +133,7 @@ class GearboxNode(LifecycleNode):
         self._mailbox = Mailbox(self.parameters, time.monotonic_ns())
         self._commands = CommandReceiver(self, self._mailbox, self.parameters.joint_prefix)
         self._viewer = open_viewer(self.parameters)
-        # A group is never rid of the entities it had: one that outlived them would grow with each configure.
+        # A callback group never drops its entities: one that is used again would grow with each configure.
         group = MutuallyExclusiveCallbackGroup()
         try:
             clock = self.parameters.clock_rate > 0.0

@@ -1,4 +1,4 @@
-"""The table of parameters as ROS parameters: declared with type, range, unit and description."""
+"""Declares the table of parameters as ROS parameters with type, range, unit and description."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from gear_dynamics_ros.parameters import (
 )
 from gear_dynamics_ros.parameters.rcl_yaml import resolve_scalar
 
-# Declared by rclpy for every node, or by whoever overrides a quality of service.
+# Declared by rclpy: for every node, or for overrides of a quality of service.
 FOREIGN = ("use_sim_time", "start_type_description_service")
 FOREIGN_PREFIX = "qos_overrides."
 LARGEST_INTEGER = 2**63 - 1
 
 
 def declare(node: Node) -> Parameters:
-    """Check what file and command line gave ``node``, and declare every parameter of the table.
+    """Check the parameters of ``node`` from file and command line, and declare every parameter of the table.
 
-    ``node`` must have declared its overrides by itself. Raises UsageError as ``Parameters.from_flat`` does.
+    ``node`` must declare its overrides automatically. Raises UsageError as ``Parameters.from_flat`` does.
     """
     overrides = cast("dict[str, Parameter]", node.get_parameters_by_prefix(""))
     given = {
@@ -41,7 +41,7 @@ def declare(node: Node) -> Parameters:
     }
     parameters = Parameters.from_flat(given)
     for name in given:
-        # Declared anew with the type of the table: an integer may have been given for a float.
+        # Declared again below with the type of the table: an integer may have been given for a float.
         node.undeclare_parameter(name)
     rows = specifications()
     node.declare_parameters(
@@ -53,9 +53,9 @@ def declare(node: Node) -> Parameters:
 
 
 def numbers_to_floats(parameters: list[Parameter]) -> list[Parameter]:
-    """Parameters about to be set, with floats for whatever number is given where floats are meant.
+    """``parameters``, about to be set, with other spellings of a number converted to the float required.
 
-    That is an integer, and text like 5e-2, which ROS's tools take for none.
+    These are integers, and texts such as 5e-2, which the tools of ROS do not read as numbers.
     """
     floats = {name for name, row in specifications().items() if row.element is float}
     return [_floated(parameter) if parameter.name in floats else parameter for parameter in parameters]
@@ -75,14 +75,14 @@ def _floated(parameter: Parameter) -> Parameter:
 
 
 def change_by(parameters: Parameters, given: Sequence[Parameter]) -> ParameterChange:
-    """Change of ``parameters`` by values ``given`` to the node; raises UsageError as ``change_values``."""
+    """Change of ``parameters`` by ``given`` ROS parameters. Raises UsageError as ``change_values``."""
     rows = specifications()
     values = {parameter.name: _plain(parameter.value) for parameter in given if parameter.name in rows}
     return change_values(parameters, values)
 
 
 def to_set(old: Parameters, new: Parameters) -> list[Parameter]:
-    """What to set on the node to come from ``old`` to ``new``."""
+    """ROS parameters to set on a node with ``old`` so that it has ``new``."""
     return [Parameter(name, value=_listed(value)) for name, value in differences(old, new).items()]
 
 

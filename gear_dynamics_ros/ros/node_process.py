@@ -12,7 +12,7 @@ from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args, try_shutdown
 
-from gear_dynamics_ros.errors import UsageError
+from gear_dynamics_ros.errors import UsageError, one_line
 from gear_dynamics_ros.realtime.engine_thread import warm_up
 from gear_dynamics_ros.ros.discovery import stay_local
 from gear_dynamics_ros.ros.node import GearboxNode
@@ -20,7 +20,7 @@ from gear_dynamics_ros.system.command import FAILURE, run_command
 from gear_dynamics_ros.system.processes import Parent, Signals
 from gear_dynamics_ros.system.threads import wake_punctually
 
-SPIN = 1.0  # s
+SPIN = 1.0  # longest wait for callbacks, s; then the parent process is checked
 
 
 def run_gearbox_node(argv: Sequence[str] | None = None) -> int:
@@ -47,8 +47,8 @@ def _serve(argv: Sequence[str] | None, signals: Signals) -> int:
         rclpy.init(
             args=None if argv is None else ["gearbox", *argv], signal_handler_options=SignalHandlerOptions.NO
         )
-    except Exception as error:  # rclpy has no common class for what it finds wrong with arguments and files
-        raise UsageError(f"ROS arguments: {_one_line(error)}") from error
+    except Exception as error:  # rclpy has no common class for errors of arguments and files
+        raise UsageError(f"ROS arguments: {one_line(error)}") from error
     try:
         return _spin(signals)
     finally:
@@ -69,7 +69,7 @@ def _spin(signals: Signals) -> int:
     try:
         log: Any = node.get_logger()  # type: ignore[no-untyped-call]
         warm_up(node.parameters, log.info)
-        signals.hand_to(stop)
+        signals.report_to(stop)
         executor.add_node(node)
         if node.parameters.autostart:
             node.bring_up()
@@ -84,7 +84,7 @@ def _spin(signals: Signals) -> int:
 
 
 def _executor() -> Executor:
-    """The one driven by events, where rclpy has it: the other takes many times as long for a command."""
+    """The events executor, if rclpy has it: the other one takes many times as long for a command."""
     try:
         from rclpy.experimental.events_executor import EventsExecutor
     except ImportError:
@@ -97,8 +97,4 @@ def _node(stop: Callable[[str], None]) -> GearboxNode:
         return GearboxNode(stop)
     except (ValueError, RuntimeError, NameValidationException) as error:
         remedy = "an array must have an entry, a name must be one of ROS"
-        raise UsageError(f"ROS arguments: {_one_line(error)}: {remedy}") from error
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
+        raise UsageError(f"ROS arguments: {one_line(error)}: {remedy}") from error

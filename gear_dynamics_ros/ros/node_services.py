@@ -1,4 +1,4 @@
-"""The node's services: each asks one thing of the session and answers what was done, or why it was not."""
+"""The services of the node: each makes one request to the session and answers with its result."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ def create_services(
     active: Callable[[], Session],
     restore_checkpoint: Callable[[], Future[str]],
 ) -> None:
-    """Make every service of the node, below its name.
+    """Create all services of the node, in the namespace of its name.
 
-    ``active`` finds the session that is active, or raises GearboxError. Restoring a checkpoint concerns the
-    node's parameters too, and is therefore the node's own work.
+    ``active`` returns the active session, or raises GearboxError. Restoring a checkpoint also changes the
+    parameters of the node; so it is not a request to the session, but to the node: ``restore_checkpoint``.
     """
     services: dict[str, tuple[Any, Start]] = {
         "reset": (Trigger, lambda _: active().reset()),

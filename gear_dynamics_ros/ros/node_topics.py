@@ -1,4 +1,4 @@
-"""The node's topics: publishers fed with ready bytes, subscriptions of commands."""
+"""The topics of the node: publishers of encoded messages, subscriptions to commands."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Publishers = Mapping[str, Publisher]
 
 
 class PublisherSink:
-    """Publishes what a run writes, but for topics without publisher, such as the commands received."""
+    """Publishes the messages of a run, except those without a publisher, such as received commands."""
 
     def __init__(self, publishers: Publishers) -> None:
         self._publishers = publishers
@@ -36,11 +36,14 @@ class PublisherSink:
                 publisher.publish(record.data)
 
     def close(self) -> None:
-        """Publishers belong to the node."""
+        """Do nothing: the node destroys its publishers."""
 
 
 def create_publishers(node: Node, group: CallbackGroup, *, clock: bool) -> Iterator[tuple[str, Publisher]]:
-    """A publisher for each output, with its key in TOPICS; parameters may override quality of service."""
+    """Publishers of all outputs with their keys in TOPICS; parameters may override quality of service.
+
+    ``/clock`` only if ``clock`` is true.
+    """
     for key, topic in TOPICS.items():
         if key not in COMMAND_TOPICS and (clock or key != "clock"):
             yield (
@@ -58,7 +61,7 @@ def create_publishers(node: Node, group: CallbackGroup, *, clock: bool) -> Itera
 def create_subscriptions(
     node: Node, group: CallbackGroup, take: Callable[[str, bytes], None]
 ) -> Iterator[Subscription]:
-    """A subscription for each command; ``take`` gets its key and the message as it came, in CDR."""
+    """Subscriptions to all commands; ``take`` gets the key in TOPICS and the message in CDR."""
     for key in COMMAND_TOPICS:
         topic = TOPICS[key]
         yield node.create_subscription(
@@ -73,7 +76,7 @@ def create_subscriptions(
 
 
 def read_command(key: str, data: bytes) -> Any:
-    """The message of the command ``key``. Raises GearboxError if ``data`` is none."""
+    """Message on the command topic ``key``, from CDR. Raises GearboxError if ``data`` is not one."""
     kind = TOPICS[key].type
     try:
         return deserialize(kind, data)
@@ -82,7 +85,7 @@ def read_command(key: str, data: bytes) -> Any:
 
 
 def command_names(node: Node) -> list[str]:
-    """Names of the command topics, remapping considered."""
+    """Full names of the command topics, after remapping."""
     return [node.resolve_topic_name(TOPICS[key].name) for key in COMMAND_TOPICS]
 
 
@@ -96,6 +99,6 @@ def quality(topic: Topic) -> QoSProfile:
 
 
 def message_type(name: str) -> Any:
-    """Class of the message type ``name``, like std_msgs/msg/Float64."""
+    """Class of the message type ``name``, such as std_msgs/msg/Float64."""
     package, _, message = name.split("/")
     return getattr(import_module(f"{package}.msg"), message)

@@ -1,4 +1,4 @@
-"""Plays a profile to a running gearbox over ROS 2 topics: the rclpy half of the harness."""
+"""Plays a profile to a running gearbox over ROS 2: the part of the harness that needs rclpy."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ from gear_dynamics_ros.messages.decoder import waveform_samples
 from gear_dynamics_ros.ros.gearbox_client import POLL, GearboxClient, not_seen, ros_context
 from gear_dynamics_ros.ros.node_topics import quality
 from gear_dynamics_ros.system.processes import noted_signals
-from gear_dynamics_ros.topics import TOPICS, resolve
+from gear_dynamics_ros.topics import TOPICS, full_topic_name
 
-# s of wall time after which a value that stays is published again: a gearbox may have a command timeout.
+# s of wall time after which an unchanged value is published again: the gearbox may have a command time-out.
 REPEAT = 0.1
-# s of wall time in which chunks under way may still arrive after the gearbox ended or left the graph.
+# s of wall time to wait for further chunks after the gearbox has ended or disappeared.
 DRAIN = 0.5
 
 
 class ProfileOutcome(NamedTuple):
-    """How a run went; ``failure`` is why the profile was not played to its end, empty if it was."""
+    """Result of playing a profile."""
 
-    results: tuple[Result, ...]
-    published: int
-    failure: str
-    signal: int  # the number of the signal that interrupted it, 0 if none did
+    results: tuple[Result, ...]  # of its expectations
+    published: int  # commands
+    failure: str  # why it was not played to its end; empty if it was
+    signal: int  # number of the signal that interrupted it, 0 if none did
 
 
 def play_profile(
@@ -48,10 +48,10 @@ def play_profile(
     watch: Callable[[Player], None],
     ros_arguments: Sequence[str] = (),
 ) -> ProfileOutcome:
-    """Play ``profile`` to the gearbox with the full name ``node``; ``watch`` is called when chunks have come.
+    """Play ``profile`` to the gearbox with the full name ``node``; ``watch`` is called after new chunks.
 
     Waits ``wait`` s for the gearbox to be ready, then at most ``timeout`` s for each answer and chunk.
-    SIGINT and SIGTERM break the run off; call it on the main thread. Raises UsageError on an impossible name.
+    SIGINT and SIGTERM interrupt it; call it on the main thread. Raises UsageError on an invalid name.
     """
     with noted_signals() as received, ros_context(node, ros_arguments) as context:
         player = _ProfileClient(context, profile, node, timeout, watch, received)
@@ -66,7 +66,7 @@ def play_profile(
 
 
 class _ProfileClient(GearboxClient):
-    """One run: subscriptions, publishers and the player between them, all on the caller's thread."""
+    """Plays one profile: subscriptions, publishers and the player, all on the caller's thread."""
 
     def __init__(
         self,
@@ -94,12 +94,12 @@ class _ProfileClient(GearboxClient):
         self._published = 0
 
     def join(self, wait: float) -> None:
-        """Return once the gearbox takes everything the profile sets and sends its waveform."""
+        """Wait until the gearbox offers what the profile needs and sends its waveform."""
         if not self._until(self._ready, wait):
             raise GearboxError(self._absence(wait))
 
     def configure(self) -> None:
-        """Set the profile's parameters, all or none; then put the gearbox back, if the profile wants that."""
+        """Set the parameters of the profile, all or none; then reset the gearbox, if the profile says so."""
         refusal = self._refusal(self._profile.parameters) if self._profile.parameters else ""
         if refusal:
             raise GearboxError(f"{self._name} refused the profile's parameters: {refusal}")
@@ -109,7 +109,7 @@ class _ProfileClient(GearboxClient):
         self._last_chunk = time.monotonic()
 
     def _reset_gearbox(self) -> None:
-        """Reset the gearbox, and learn when that was: chunks made before may arrive after the answer."""
+        """Reset the gearbox and wait for the event of it: chunks before it may arrive after the answer."""
         before = self._last_time
         self._succeed(self._reset, Trigger.Request(), "to reset")
         if not self._until(lambda: self._reset_time > before, self._timeout):
@@ -118,7 +118,7 @@ class _ProfileClient(GearboxClient):
             )
 
     def follow(self) -> None:
-        """Return when the profile was played to its end."""
+        """Play until the profile has ended."""
         timeout = self._timeout
         while not (self._player is not None and self._player.finished):
             self._spin(POLL)
@@ -132,7 +132,7 @@ class _ProfileClient(GearboxClient):
                 )
 
     def outcome(self, failure: str) -> ProfileOutcome:
-        """The results so far; the last commands are on their way by then."""
+        """The results so far, after all published commands were acknowledged."""
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=DRAIN))
         player = self._player
@@ -141,13 +141,13 @@ class _ProfileClient(GearboxClient):
 
     @property
     def _ended(self) -> str:
-        """Why the run ended, if nothing came after that."""
-        at, reason = self._end
-        return reason if at >= self._last_time else ""
+        """Reason of the end of the run; empty if it has not ended, or continues after a reset."""
+        time, reason = self._end
+        return reason if time >= self._last_time else ""
 
     def _command_publisher(self, command: str) -> Publisher:
         topic = TOPICS[f"{command}_command"]
-        return self._ros.create_publisher(Float64, resolve(topic, self._name), quality(topic))
+        return self._ros.create_publisher(Float64, full_topic_name(topic, self._name), quality(topic))
 
     def _waveform_publishers(self) -> int:
         return int(self._ros.count_publishers(self._waveform.topic_name))
@@ -198,10 +198,9 @@ class _ProfileClient(GearboxClient):
             self._end = (float(event["time"]), str(event["message"]) or "no reason given")
 
     def _take_chunks(self, message: Float64MultiArray) -> None:
-        """Take all chunks that wait, then publish what is due now.
+        """Take all chunks that have arrived, then publish the commands that are due.
 
-        An executor turns once for each message, which costs more than the chunk itself: after a hold-up the
-        harness would stay behind.
+        An executor takes one message at a time, which is slow: after a delay the harness would stay behind.
         """
         waiting = [message]
         with self._waveform.handle:
@@ -211,7 +210,7 @@ class _ProfileClient(GearboxClient):
                     break
                 waiting.append(taken[0])
         if self._joined and self._player is None:
-            # Time 0 is now: from the oldest on, the first commands would come late by all that waited.
+            # Begin with the newest chunk. With an older one, the first commands would be late.
             del waiting[:-1]
         for message in waiting:
             self._take_chunk(message)
@@ -234,15 +233,15 @@ class _ProfileClient(GearboxClient):
     def _publish(self, values: dict[str, float]) -> None:
         now = time.monotonic()
         for name, value in values.items():
-            last, at = self._last_published.get(name, (None, 0.0))
-            if value != last or now - at >= REPEAT:
+            last, published_at = self._last_published.get(name, (None, 0.0))
+            if value != last or now - published_at >= REPEAT:
                 self._publishers[name].publish(Float64(data=value))
                 self._last_published[name] = (value, now)
                 self._published += 1
 
 
 def require_take_message(subscription: Subscription) -> None:
-    """Raise GearboxError unless rclpy lets all messages that wait be taken at once."""
+    """Raise GearboxError unless rclpy offers to take all messages that have arrived."""
     if not callable(getattr(subscription.handle, "take_message", None)):
         raise GearboxError(
             "rclpy: a subscription has no handle.take_message(type, raw): use the rclpy of ROS 2 Jazzy"

@@ -1,4 +1,4 @@
-"""Parameters of the node while it runs: each change is validated once and handed to the run."""
+"""Parameters of the node at run time: each change is validated once and passed to the run."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RESTORING = "a checkpoint is being restored: set parameters again when ~/restore
 
 
 class RuntimeParameters:
-    """What the parameters of ``node`` are, and how they change. For the thread that spins the node."""
+    """The parameters of ``node`` and their changes. For the thread that spins the node."""
 
     def __init__(
         self,
@@ -28,18 +28,19 @@ class RuntimeParameters:
         apply: Callable[[ParameterChange], Future[None] | None],
         in_force: Callable[[], Parameters],
     ) -> None:
-        """Declare the parameters of ``node``. Raises UsageError if what it was given is invalid.
+        """Declare the parameters of ``node``. Raises UsageError if one of them is invalid.
 
-        ``apply`` puts a change in force, later if it returns a future; ``in_force`` tells what the run has.
+        ``apply`` puts a change in force; if that takes time, it returns a future. ``in_force`` returns the
+        parameters in force in the run.
         """
         self._node = node
         self._apply = apply
         self._in_force = in_force
         self.current = node_parameters.declare(node)
         self._change: ParameterChange | None = None  # validated, about to be set
-        self._work: Future[None] | None = None  # begun by the request in hand
-        self._restores = 0  # under way
-        self._showing = False  # values that are in force already
+        self._work: Future[None] | None = None  # begun by the present request
+        self._restores = 0  # in progress
+        self._showing = False  # whether the values being set are in force already
         self._ignore_sim_time()
         node.add_pre_set_parameters_callback(node_parameters.numbers_to_floats)
         node.add_on_set_parameters_callback(self._validate)
@@ -47,9 +48,9 @@ class RuntimeParameters:
         defer_parameter_answers(node, sender, self._take_work)
 
     def restore(self, start: Callable[[], Future[str]]) -> Future[str]:
-        """Result of what ``start`` begins; afterwards the node has the parameters that it put in force.
+        """Result of the restore that ``start`` begins; afterwards the node shows the restored parameters.
 
-        Meanwhile changes are refused: what they were validated against may be replaced before they act.
+        Other changes are refused meanwhile: they would be validated against parameters about to be replaced.
         """
         self._restores += 1
 
@@ -96,7 +97,7 @@ class RuntimeParameters:
             self._show(self._in_force())
 
     def _show(self, parameters: Parameters) -> None:
-        """Let the node's parameters be ``parameters``."""
+        """Set the parameters of the node to ``parameters``, which are in force already."""
         values = node_parameters.to_set(self.current, parameters)
         self.current = parameters
         if values:

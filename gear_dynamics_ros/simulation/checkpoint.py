@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from gear_dynamics_ros.chunk import Commands, Status
-from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.errors import GearboxError, UsageError, one_line
 from gear_dynamics_ros.parameters import Parameters, differences, specifications, updated
 from gear_dynamics_ros.simulation.provenance import Provenance, current_provenance
 from gear_dynamics_ros.system.files import replace_text
@@ -76,7 +76,9 @@ class Checkpoint(NamedTuple):
                 Parameters.from_flat(_mapping(tree["parameters"])),
             )
         except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
-            raise GearboxError(f"the checkpoint lacks or spoils an entry: {_one_line(error)}") from error
+            raise GearboxError(
+                f"an entry of the checkpoint is missing or invalid: {one_line(f'{error!r:.200}')}"
+            ) from error
 
 
 class StoredCheckpoint(NamedTuple):
@@ -114,7 +116,9 @@ class StoredCheckpoint(NamedTuple):
         except GearboxError as error:
             raise UsageError(f"checkpoint '{name}': {error}") from None
         except (KeyError, TypeError, ValueError, RecursionError) as error:
-            raise UsageError(f"'{name}' is no checkpoint, or it is spoilt: {_one_line(error)}") from None
+            raise UsageError(
+                f"'{name}' is not a checkpoint, or it is damaged: {one_line(f'{error!r:.200}')}"
+            ) from None
 
 
 def require_place(path: Path) -> None:
@@ -218,7 +222,3 @@ def _sample_index(value: Any) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 1 << 62:
         raise ValueError(f"{value!r:.40} is no index of a sample")
     return value
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(f"{error!r:.200}".split())

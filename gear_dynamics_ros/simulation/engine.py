@@ -227,5 +227,5 @@ def _kernel_state(checkpoint: Checkpoint) -> NDArray[Any]:
         for name in _STATE_NAMES:
             state[name] = checkpoint.state[name]
     except (KeyError, OverflowError, TypeError, ValueError) as error:
-        raise GearboxError(f"the checkpoint lacks or spoils an entry: {error!r}") from error
+        raise GearboxError(f"an entry of the checkpoint is missing or invalid: {error!r}") from error
     return state

@@ -1,4 +1,4 @@
-"""The outermost call of every command: errors become one line on stderr and an exit code."""
+"""Runs the command of a program: errors become one line on stderr and an exit code."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ INTERRUPTED = SIGNALLED + signal.SIGINT
 def run_command(
     command: Callable[[argparse.Namespace], int], parser: argparse.ArgumentParser, argv: Sequence[str] | None
 ) -> int:
-    """Parse ``argv`` and run ``command``; returns the exit code of what it returns or raises.
+    """Parse ``argv`` and run ``command``; returns its exit code.
 
-    USAGE for UsageError, FAILURE for GearboxError, OSError and a closed stdout, INTERRUPTED for Ctrl-C.
+    If it raises an error: USAGE for UsageError, FAILURE for GearboxError, OSError and a closed stdout,
+    INTERRUPTED for Ctrl-C.
     """
     arguments = parser.parse_args(argv)
     try:
@@ -30,7 +31,7 @@ def run_command(
         print(f"{parser.prog}: error: {error}", file=sys.stderr)
         return USAGE
     except BrokenPipeError:
-        # The reader of stdout has closed it; without this Python reports that again when it flushes at exit.
+        # The reader of stdout has closed it. Without this, Python reports the error again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILURE
     except (GearboxError, OSError) as error:

@@ -1,6 +1,6 @@
 """Files and folders that appear whole or not at all, and survive a loss of power.
 
-Each is written under another name in the same folder (the draft), brought to the disk, and then renamed.
+Each is written under another name in the same folder (the draft), flushed to the disk, and then renamed.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ _T = TypeVar("_T")
 
 @contextmanager
 def replace_file(path: Path) -> Iterator[BinaryIO]:
-    """Stream into a file that appears at ``path`` when the block ends, in place of an earlier one.
+    """Stream to a file that replaces ``path`` when the block ends.
 
-    If the block raises, the earlier file stays and nothing else is left behind. A draft left by a process
-    that was killed is removed. Raises OSError if the file can't be written.
+    If the block raises, an earlier file stays and no draft is left. A draft left by a killed process is
+    removed. Raises OSError if the file can't be written.
     """
     draft = path.parent / f".{path.name}{DRAFT_SUFFIX}"
     draft.unlink(missing_ok=True)
@@ -39,17 +39,17 @@ def replace_text(path: Path, text: str) -> None:
 
 @contextmanager
 def output_file(path: Path) -> Iterator[BinaryIO]:
-    """As ``replace_file``, but raises GearboxError, naming ``path``, in place of an OSError."""
+    """As ``replace_file``, but raises GearboxError with ``path`` instead of an OSError."""
     with _explained(path), replace_file(path) as stream:
         yield stream
 
 
 @contextmanager
 def new_file(path: Path) -> Iterator[BinaryIO]:
-    """Stream into a new file that appears at ``path`` when the block ends; an existing one is never touched.
+    """Stream to a new file that appears at ``path`` when the block ends; an existing one is never changed.
 
-    If the block raises, nothing is left behind. Raises UsageError if ``path`` or its draft exists, or the
-    draft can't be created; GearboxError in place of an OSError while writing, the block's own included.
+    If the block raises, nothing is left. Raises UsageError if ``path`` or its draft exists, or the draft
+    can't be created; GearboxError instead of an OSError while writing, also for one that the block raises.
     """
     draft = _draft_beside(path)
     stream = _created(draft, lambda: draft.open("xb"))
@@ -59,10 +59,10 @@ def new_file(path: Path) -> Iterator[BinaryIO]:
 
 @contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
-    """Folder to fill, which appears at ``path`` when the block ends; an existing one is never touched.
+    """Folder to fill, which appears at ``path`` when the block ends; an existing one is never changed.
 
-    The block itself brings the files in it to the disk. If the block raises, nothing is left behind. Raises
-    as ``new_file`` does.
+    The block must flush its files to the disk. If it raises, nothing is left. Raises the errors of
+    ``new_file``.
     """
     draft = _draft_beside(path)
     _created(draft, draft.mkdir)
@@ -86,7 +86,7 @@ def require_new(path: Path) -> None:
 
 
 def sync_folder(path: Path) -> None:
-    """Bring the names in a folder to the disk: without its name, a file does not survive a loss of power.
+    """Flush the names in a folder to the disk, so that new files survive a loss of power.
 
     Raises OSError if that fails.
     """
@@ -121,7 +121,7 @@ def _created(draft: Path, create: Callable[[], _T]) -> _T:
 
 @contextmanager
 def _finished(stream: BinaryIO, draft: Path, publish: Callable[[], object]) -> Iterator[BinaryIO]:
-    """``stream``, the open file ``draft``; once it is on the disk, ``publish`` renames it."""
+    """Give ``stream``, the open file ``draft``; then flush it to the disk and rename it by ``publish``."""
     try:
         yield stream
         stream.flush()
@@ -130,7 +130,7 @@ def _finished(stream: BinaryIO, draft: Path, publish: Callable[[], object]) -> I
         publish()
         sync_folder(draft.parent)
     except BaseException:
-        with suppress(OSError):  # of writing what the stream still holds, which is thrown away
+        with suppress(OSError):  # closing flushes the buffer, which may fail; the draft is removed anyway
             stream.close()
         draft.unlink(missing_ok=True)
         raise

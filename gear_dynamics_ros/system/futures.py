@@ -1,4 +1,4 @@
-"""Results that come later, one after another."""
+"""Chains futures: work that begins with the result of another."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ R = TypeVar("R")
 
 
 def then(first: Future[T], act: Callable[[T], R]) -> Future[R]:
-    """Result of ``act`` on the result of ``first``, on the thread that has it; fails if either fails."""
+    """Future of ``act(result of first)``, called on the thread that completes ``first``.
+
+    Fails if either fails.
+    """
     result: Future[R] = Future()
 
     def proceed(done: Future[T]) -> None:
@@ -27,7 +30,7 @@ def then(first: Future[T], act: Callable[[T], R]) -> Future[R]:
 
 
 def then_start(first: Future[T], start: Callable[[T], Future[R]]) -> Future[R]:
-    """Result of what ``start`` begins with the result of ``first``; fails if any of them fails."""
+    """Future of the work that ``start(result of first)`` begins; fails if any of them fails."""
     result: Future[R] = Future()
 
     def copy(done: Future[R]) -> None:

@@ -1,4 +1,4 @@
-"""How processes end: signals, and the end of the `ros2 run` that started the node."""
+"""Signals to this process, and the end of the ``ros2 run`` that started it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gear_dynamics_ros.system.threads import name_thread
 
 @contextmanager
 def noted_signals() -> Iterator[list[int]]:
-    """The signals that came, which so break nothing off by themselves: look there between short waits.
+    """List of the SIGINT and SIGTERM received in the block; they interrupt nothing, so check it regularly.
 
     For the main thread.
     """
@@ -34,18 +34,18 @@ def noted_signals() -> Iterator[list[int]]:
 
 
 class Signals:
-    """SIGINT, SIGTERM and SIGHUP, told on a thread of their own; all after the first are ignored.
+    """Reports the first SIGINT, SIGTERM or SIGHUP on its own thread; further ones are ignored.
 
-    To be made on the main thread. Until ``hand_to`` is called there is nothing to finish, and a signal ends
-    the process at once with exit code 0. Works where the shell has SIGINT ignored for a process in the
-    background; SIGHUP stays ignored under nohup.
+    Create it on the main thread. Until ``report_to`` is called there is nothing to finish: a signal ends the
+    process at once with exit code 0. SIGINT works also for a background process that the shell started with
+    SIGINT ignored; SIGHUP stays ignored under nohup.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._stop: Callable[[str], None] | None = None
-        # Python's handlers wait until the main thread leaves rclpy's wait; the wakeup socket has the signal
-        # at once, whichever thread the system gave it to.
+        # Python calls a handler only after the main thread leaves the wait of rclpy. The wakeup socket gets
+        # the signal at once, on whichever thread it arrives.
         self._receiver, self._sender = socket.socketpair()
         self._sender.setblocking(False)
         signal.set_wakeup_fd(self._sender.fileno(), warn_on_full_buffer=False)
@@ -54,8 +54,8 @@ class Signals:
                 signal.signal(number, _leave_it_to_the_socket)
         threading.Thread(target=self._work, name="signals", daemon=True).start()
 
-    def hand_to(self, stop: Callable[[str], None]) -> None:
-        """From now on call ``stop`` with the signal's name, on the thread of the signals."""
+    def report_to(self, stop: Callable[[str], None]) -> None:
+        """From now on call ``stop`` with the name of the signal, on the thread of the signals."""
         with self._lock:
             self._stop = stop
 
@@ -70,13 +70,14 @@ class Signals:
 
 
 def _leave_it_to_the_socket(number: int, frame: FrameType | None) -> None:
-    """Keep the signal from ending the process."""
+    """Do nothing; without a handler the signal would end the process."""
 
 
 class Parent:
-    """The ``ros2 run`` that started this process: SIGTERM to it ends it and leaves this process an orphan.
+    """The process that started this one.
 
-    Only such a parent is watched. Any other may end, as a shell does after ``nohup gearbox &``. Needs /proc.
+    ``ros2 run`` does not pass SIGTERM on: it ends and this process must notice. Other parents may end, as a
+    shell does after ``nohup gearbox &``, so only ``ros2 run`` is watched. Needs /proc.
     """
 
     def __init__(self) -> None:
@@ -84,7 +85,7 @@ class Parent:
         self._watched = _is_ros2_run(self._pid)
 
     def gone(self) -> bool:
-        """Whether it was there and is no more."""
+        """Whether the parent was ``ros2 run`` and has ended."""
         return self._watched and os.getppid() != self._pid
 
 

@@ -1,4 +1,4 @@
-"""Files that come with the package but not inside it: config, launch."""
+"""Files that are installed beside the package: config, launch."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PACKAGE = "gear_dynamics_ros"
 
 
 def _share_directories() -> Iterator[Path]:
-    # A symlinked build leads back to the checkout, whose files are the ones being edited.
+    # A build with symbolic links leads to the checkout, whose files are up to date.
     here = Path(__file__).resolve().parents[1]
     if (here.parent / "package.xml").is_file():
         yield here.parent
@@ -24,7 +24,7 @@ def _share_directories() -> Iterator[Path]:
 def share_file(name: str) -> Path:
     """Path of a shared file such as ``config/gearbox.yaml``, in a checkout or installed by pip or colcon.
 
-    Raises GearboxError if it is not there.
+    Raises GearboxError if it is not found.
     """
     for directory in _share_directories():
         path = directory / name

@@ -1,4 +1,4 @@
-"""What the system knows of threads: their names, and how punctually it wakes them."""
+"""Settings of threads in the operating system: names, and precision of timed waits."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from pathlib import Path
 
 
 def name_thread() -> None:
-    """Show this thread under its Python name in top, perf and /proc: its first 15 characters, on Linux."""
+    """Show the first 15 characters of the Python name of this thread in top, perf and /proc, on Linux."""
     thread = threading.current_thread()
     with contextlib.suppress(OSError):
         Path(f"/proc/self/task/{thread.native_id}/comm").write_text(thread.name[:15], encoding="utf-8")
 
 
 def wake_punctually() -> None:
-    """Let timed waits of this thread, and of those it starts from now on, end when they should, on Linux.
+    """Make timed waits of this thread, and of those it starts later, end on time, on Linux.
 
-    The system otherwise adds up to 50 us to each, to wake the processor less often.
+    By default the system adds up to 50 us to each, to wake the processor less often.
     """
     with contextlib.suppress(OSError):
         Path(f"/proc/{threading.get_native_id()}/timerslack_ns").write_text("1", encoding="utf-8")

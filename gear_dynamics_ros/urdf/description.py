@@ -14,7 +14,7 @@ from xml.etree import ElementTree as Xml
 from gear_dynamics_ros.messages.encoder import bearing_frame
 from gear_dynamics_ros.parameters import GEARBOX_NODE_NAME, Parameters, specifications
 from gear_dynamics_ros.physics.constants import base_radii
-from gear_dynamics_ros.topics import TOPICS, resolve
+from gear_dynamics_ros.topics import TOPICS, full_topic_name
 
 HARDWARE_PLUGIN = "topic_based_ros2_control/TopicBasedSystem"
 STATE_INTERFACES = ("position", "velocity", "effort")
@@ -117,8 +117,8 @@ def _add_control(robot: Xml.Element, parameters: Parameters, node: str) -> None:
     hardware = Xml.SubElement(system, "hardware")
     Xml.SubElement(hardware, "plugin").text = HARDWARE_PLUGIN
     settings = {
-        "joint_commands_topic": resolve(TOPICS["joint_command"], node),
-        "joint_states_topic": resolve(TOPICS["joint_states"], node),
+        "joint_commands_topic": full_topic_name(TOPICS["joint_command"], node),
+        "joint_states_topic": full_topic_name(TOPICS["joint_states"], node),
         # Always send: older plugins compare positions only, and would not send new speeds and torques.
         "trigger_joint_command_threshold": "-1",
     }

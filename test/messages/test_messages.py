@@ -31,7 +31,7 @@ from gear_dynamics_ros.messages.cdr import (
 from gear_dynamics_ros.messages.decoder import applied_commands, waveform_samples
 from gear_dynamics_ros.messages.encoder import Encoder, joint_state, waveform_message
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.topics import TOPICS, resolve
+from gear_dynamics_ros.topics import TOPICS, full_topic_name
 from support.chunks import chunk_of
 
 EPOCH_NS = 1_700_000_000_123_456_789
@@ -64,7 +64,7 @@ def decoded(chunk: Chunk, parameters: Parameters | None = None) -> dict[str, obj
     ],
 )
 def test_names_resolve_as_ros_does(node: str, key: str, name: str) -> None:
-    assert resolve(TOPICS[key], node) == name
+    assert full_topic_name(TOPICS[key], node) == name
 
 
 def test_all_records_of_a_chunk_carry_the_time_of_its_last_sample() -> None:

@@ -20,7 +20,7 @@ from rosbags.highlevel import AnyReader
 
 from gear_dynamics_ros.messages.cdr import deserialize
 from gear_dynamics_ros.messages.encoder import Record
-from gear_dynamics_ros.topics import TOPICS, resolve
+from gear_dynamics_ros.topics import TOPICS, full_topic_name
 from support.every_topic import Made, full_name, leaves, record_everything, sequences
 from support.rerun_files import Rerun
 
@@ -48,7 +48,7 @@ def test_rosbags_reads_every_message(made: Made, where: str) -> None:
     with AnyReader([places[where]]) as reader:
         assert reader.message_count == len(written)
         assert {connection.topic: connection.msgtype for connection in reader.connections} == {
-            resolve(topic): topic.type for topic in TOPICS.values()
+            full_topic_name(topic): topic.type for topic in TOPICS.values()
         }
         for connection, time_ns, raw in reader.messages():
             message = reader.deserialize(raw, connection.msgtype)

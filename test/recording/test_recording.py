@@ -34,7 +34,7 @@ from gear_dynamics_ros.recording.mcap import writer
 from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint
 from gear_dynamics_ros.simulation.provenance import current_provenance
-from gear_dynamics_ros.topics import TOPICS, resolve
+from gear_dynamics_ros.topics import TOPICS, full_topic_name
 from support.chunks import COMMANDS, NO_COUNTERS, chunk_of, noise
 from support.every_topic import EPOCH_NS, extra_records
 from support.processes import python_command, python_path
@@ -174,7 +174,7 @@ def test_mcap_reader_decodes_each_message_by_the_schema_in_the_file(bag: Path) -
                 if channel.topic == WAVEFORM:
                     rows.append(np.array(content.data).reshape(-1, content.layout.dim[1].size))
     assert equal(np.concatenate(rows), samples_of(range(60)))
-    assert set(sequences) == {resolve(topic) for topic in TOPICS.values()}
+    assert set(sequences) == {full_topic_name(topic) for topic in TOPICS.values()}
     assert all(numbers == list(range(len(numbers))) for numbers in sequences.values())
 
 

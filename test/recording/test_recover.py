@@ -52,7 +52,7 @@ from gear_dynamics_ros.simulation.checkpoint import Checkpoint, StoredCheckpoint
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.provenance import Provenance
 from gear_dynamics_ros.simulation.run import Run
-from gear_dynamics_ros.topics import TOPICS, resolve
+from gear_dynamics_ros.topics import TOPICS, full_topic_name
 from support.processes import run_python
 from support.recordings import Recorded
 from support.sinks import Keeper
@@ -65,7 +65,7 @@ PARAMETERS = Parameters.from_flat({"waveform_channels": CHANNELS})
 ROWS = PARAMETERS.solver.samples_per_chunk
 CHUNKS = 500  # one simulated second
 SPLITS = (150, 300)
-WAVEFORM = resolve(TOPICS["waveform"])
+WAVEFORM = full_topic_name(TOPICS["waveform"])
 
 
 def record(path: Path, chunks: int, splits: Sequence[int] = ()) -> Path:
@@ -645,7 +645,7 @@ def test_killed_at_random_moments_nothing_that_was_on_the_disk_is_missing(tmp_pa
     run = Run(Engine(PARAMETERS), Encoder(PARAMETERS, EPOCH_NS), [collector])
     for _ in range(1000):
         run.step()
-    expected = [(resolve(TOPICS[each.topic]), each.time_ns, each.data) for each in collector.records]
+    expected = [(full_topic_name(TOPICS[each.topic]), each.time_ns, each.data) for each in collector.records]
     told = [json.loads(line) for line in done.stdout.splitlines()]
     assert len(told) == 20 and sum(count > 0 for _, _, count in told) > 5
     for name, code, count in told:

@@ -30,7 +30,7 @@ from gear_dynamics_ros.replay.verify import verify_recording
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.provenance import provenance_differences
 from gear_dynamics_ros.simulation.run import Run
-from gear_dynamics_ros.topics import TOPICS, resolve
+from gear_dynamics_ros.topics import TOPICS, full_topic_name
 from support import altering
 from support.altering import alter, in_json, on_topic
 from support.recordings import SHORT, SHORT_CHUNK, perform
@@ -396,7 +396,7 @@ def with_one_more(bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, to
 
     def put_in(writer: Any, time_ns: int) -> None:
         data = next(data for key, data in told if key == topic)
-        number = numbers[resolve(TOPICS[topic])]
+        number = numbers[full_topic_name(TOPICS[topic])]
         add(writer, channel_id=number, log_time=time_ns, publish_time=time_ns, sequence=9, data=data)
 
     def first(writer: Any, **message: Any) -> None:

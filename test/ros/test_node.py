@@ -27,7 +27,7 @@ from gear_dynamics_ros.messages.cdr import stamp_ns
 from gear_dynamics_ros.parameters import specifications
 from gear_dynamics_ros.replay.verify import verify_recording
 from gear_dynamics_ros.simulation import checkpoint
-from gear_dynamics_ros.topics import COMMAND_TOPICS, TOPICS, resolve
+from gear_dynamics_ros.topics import COMMAND_TOPICS, TOPICS, full_topic_name
 from support.gearbox import INTERVAL_NS, OUTPUTS, PATIENCE, Client, Peer, shared_gearbox, start_gearbox
 from support.processes import Process, StartProcess
 
@@ -90,7 +90,7 @@ def test_every_output_comes_with_one_stamp_per_chunk(client: Client) -> None:
 def test_types_and_names_are_those_promised(client: Client) -> None:
     offered = dict(client.node.get_topic_names_and_types())
     for key in [*OUTPUTS, *COMMAND_TOPICS]:
-        assert offered[resolve(TOPICS[key])] == [TOPICS[key].type]
+        assert offered[full_topic_name(TOPICS[key])] == [TOPICS[key].type]
     assert "/clock" not in offered
 
 

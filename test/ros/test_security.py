@@ -20,7 +20,7 @@ from gear_dynamics_ros.ros.discovery import (
     RANGE,
     stay_local,
 )
-from gear_dynamics_ros.topics import TOPICS, resolve
+from gear_dynamics_ros.topics import TOPICS, full_topic_name
 from support.gearbox import PATIENCE, Peer, start_gearbox
 from support.paths import ROOT
 from support.processes import until
@@ -220,7 +220,7 @@ def test_the_policy_has_the_form_that_sros2_reads():
 
 def test_the_policy_covers_every_topic():
     publish, subscribe, *_ = policy_profile("gearbox")
-    assert {resolve(topic) for topic in TOPICS.values()} <= publish | subscribe
+    assert {full_topic_name(topic) for topic in TOPICS.values()} <= publish | subscribe
 
 
 def test_the_policy_grants_what_the_live_nodes_use_and_no_more(ros_domain, process, observer, tmp_path):

@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from gear_dynamics_ros.messages.cdr import deserialize, serialize
-from gear_dynamics_ros.topics import TOPICS, resolve
+from gear_dynamics_ros.topics import TOPICS, full_topic_name
 
 Change = Callable[[str, bytes], bytes | None]
 
@@ -79,7 +79,7 @@ def _alter_part(source: Path, target: Path, attachment: Change, message: Change)
         summary = reader.get_summary()
         assert summary is not None
         node = next(record for record in reader.iter_metadata() if record.name == "gear_dynamics_ros")
-        keys = {resolve(topic, node.metadata["node"]): key for key, topic in TOPICS.items()}
+        keys = {full_topic_name(topic, node.metadata["node"]): key for key, topic in TOPICS.items()}
         writer = Writer(out, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library="altering")
         schemas = {

@@ -20,7 +20,7 @@ from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
-from gear_dynamics_ros.topics import TOPICS, resolve
+from gear_dynamics_ros.topics import TOPICS, full_topic_name
 
 EPOCH_NS = 1_700_000_000_123_456_789
 CHUNKS = 60
@@ -151,4 +151,4 @@ def sequences(records: Sequence[Record]) -> list[int]:
 
 def full_name(record: Record) -> str:
     """Name of the topic of a message under the default node."""
-    return resolve(TOPICS[record.topic])
+    return full_topic_name(TOPICS[record.topic])

@@ -29,7 +29,7 @@ from gear_dynamics_ros.messages.cdr import stamp_ns
 from gear_dynamics_ros.messages.decoder import applied_commands
 from gear_dynamics_ros.parameters import specifications
 from gear_dynamics_ros.ros.node_topics import message_type, quality
-from gear_dynamics_ros.topics import COMMAND_TOPICS, TOPICS, resolve
+from gear_dynamics_ros.topics import COMMAND_TOPICS, TOPICS, full_topic_name
 from support.processes import Process, StartProcess
 
 PATIENCE = 120.0  # s of wall time; a first start compiles the kernel
@@ -76,13 +76,13 @@ class Peer:
     def subscribe(self, key: str, take: Callable[[Any], object], profile: QoSProfile | None = None) -> Any:
         """Let ``take`` have every message of a topic (key in TOPICS)."""
         topic = TOPICS[key]
-        name = resolve(topic, self.gearbox)
+        name = full_topic_name(topic, self.gearbox)
         return self.node.create_subscription(message_type(topic.type), name, take, profile or quality(topic))
 
     def publisher(self, key: str) -> Publisher:
         """Publisher of a topic (key in TOPICS)."""
         topic = TOPICS[key]
-        name = resolve(topic, self.gearbox)
+        name = full_topic_name(topic, self.gearbox)
         return self.node.create_publisher(message_type(topic.type), name, quality(topic))
 
     def ask(self, kind: Any, name: str, request: Any = None) -> Any:

@@ -27,7 +27,7 @@ from mcap.records import (
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 
-from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.errors import GearboxError, one_line
 
 # Three times the largest possible message. A record that claims more is damaged and must not fill the memory.
 RECORD_LIMIT: Final = 1 << 30
@@ -154,7 +154,7 @@ def _decode(stream: BinaryIO, offset: int, opcode: int, length: int) -> FoundRec
     try:
         return FoundRecord(offset, size, opcode, _DECODERS[opcode](body), "")
     except Exception as error:  # mcap and the decompressors raise many kinds of errors
-        return FoundRecord(offset, size, opcode, None, " ".join(f"{error!r:.200}".split()))
+        return FoundRecord(offset, size, opcode, None, one_line(f"{error!r:.200}"))
 
 
 def record_at(stream: BinaryIO, offset: int, kind: type[T]) -> T:
