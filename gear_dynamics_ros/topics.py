@@ -89,7 +89,7 @@ TOPICS: Final[dict[str, Topic]] = {
     "event": Topic(
         "~/event",
         STRING,
-        "JSON: sample, time (s), event, message, counters; parameters, checkpoint, commands that it brought",
+        "JSON: sample, time (s), event, message, counters; parameters, checkpoint, commands of its kind",
         latched=True,
     ),
 }

@@ -121,7 +121,7 @@ def _play_in_lockstep(bag: recording.Recording, arguments: argparse.Namespace) -
             f"{outcome.published} commands published, {outcome.time_ns / 1e9:.9g} s simulated; time 0 of the "
             f"recording is sample {outcome.origin} of the gearbox"
         )
-        print(f"{node} {'goes on running' if outcome.left_running else 'stays paused'}, as it was found")
+        print(f"{node} {'runs again' if outcome.left_running else 'stays paused'}, as before")
     return _exit_code(outcome.failure, outcome.signal)
 
 
@@ -135,9 +135,9 @@ def _exit_code(failure: str, signal: int) -> int:
 
 
 def _print_skipped(kinds: Counter[str], remedy: str) -> None:
-    told = ", ".join(f"{number} {kind}" for kind, number in kinds.items() if number)
-    if told:
-        print(f"replay: not played: {told}{remedy}", file=sys.stderr)
+    skipped = ", ".join(f"{number} {kind}" for kind, number in kinds.items() if number)
+    if skipped:
+        print(f"replay: not played: {skipped}{remedy}", file=sys.stderr)
 
 
 def _ros_arguments(arguments: argparse.Namespace) -> list[str]:

@@ -45,11 +45,11 @@ def _verify(arguments: argparse.Namespace) -> int:
             print(f"replay: {line}", file=sys.stderr)
         return FAILURE
     print(
-        f"{bag.path}: {result.samples} samples of {len(bag.channel_names)} channels came out the same to the "
-        f"bit, as did {result.messages} messages and {result.states} stored states; "
+        f"{bag.path}: {result.samples} samples of {len(bag.channel_names)} channels are the same to the bit, "
+        f"as are {result.messages} messages and {result.states} stored states; "
         f"{result.simulated:.6g} s in {result.elapsed:.2f} s, "
         f"{result.simulated / result.elapsed:.2f} times real time"
     )
     if not (bag.complete and bag.parts[-1].end):
-        print("the recording was not concluded: whether it went on from its last sample can't be told")
+        print("the recording was not concluded: the run may have continued after its last sample")
     return 0

@@ -22,7 +22,7 @@ def deserialize(type_name: str, data: bytes | memoryview) -> Any:
     try:
         return TYPESTORE.deserialize_cdr(data, type_name)
     except SerdeError as error:
-        raise GearboxError(f"no CDR of {type_name}: {error}") from error
+        raise GearboxError(f"not valid CDR of {type_name}: {error}") from error
 
 
 def message_class(type_name: str) -> Any:

@@ -213,7 +213,7 @@ def _event(text: str) -> OperatorEvent:
     except KeyError as error:
         raise GearboxError(f"the event has no entry {error}") from error
     except (RecursionError, TypeError, ValueError) as error:
-        raise GearboxError(f"no event in JSON: {error}") from error
+        raise GearboxError(f"not an event in JSON: {error}") from error
 
 
 def _counters(entries: Mapping[str, Any]) -> Counters:
@@ -222,13 +222,13 @@ def _counters(entries: Mapping[str, Any]) -> Counters:
 
 def _mapping(value: Any) -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise TypeError(f"{value!r:.40} is no object")
+        raise TypeError(f"{value!r:.40} is not an object")
     return value
 
 
 def _text(value: Any) -> str:
     if not isinstance(value, str):
-        raise TypeError(f"{value!r:.40} is no text")
+        raise TypeError(f"{value!r:.40} is not a text")
     return _printable(value)
 
 
@@ -241,11 +241,11 @@ def _printable(value: T) -> T:
 def _integer(value: Any) -> int:
     # Such as an index of a sample: the time in ns must fit into 64 bits.
     if not isinstance(value, int) or isinstance(value, bool) or abs(value) >= 1 << 62:
-        raise TypeError(f"{value!r:.40} is no count")
+        raise TypeError(f"{value!r:.40} is not a count")
     return value
 
 
 def _finite(value: Any) -> float:
     if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) <= 1e300:
-        raise TypeError(f"{value!r:.40} is no finite number")
+        raise TypeError(f"{value!r:.40} is not a finite number")
     return float(value)

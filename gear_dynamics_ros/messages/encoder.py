@@ -83,14 +83,14 @@ class Encoder:
         self._channels = tuple(parameters.waveform_channels)
         self._columns = [COLUMN[name] for name in self._channels]
         self._all_channels = self._columns in (list(range(len(CHANNELS))), list(range(len(COLUMN))))
-        self._waveform = _Packer("sample", self._channels)
-        self._energy = _Packer("sample", [energy.name for energy in ENERGIES])
+        self._waveform = _RowPacker("sample", self._channels)
+        self._energy = _RowPacker("sample", [energy.name for energy in ENERGIES])
         self._clock_ns = round(1e9 / parameters.clock_rate) if parameters.clock_rate > 0.0 else 0
-        self._impacts = _Packer("impact", [entry.name for entry in IMPACTS])
-        self._pacing = _Packer("report", [entry.name for entry in PACE])
-        self._joint_state = _Stamped(_still(self._joints), _JOINT_NUMBERS)
+        self._impacts = _RowPacker("impact", [entry.name for entry in IMPACTS])
+        self._pacing = _RowPacker("report", [entry.name for entry in PACE])
+        self._joint_state = _StampedMessage(_joints_at_rest(self._joints), _JOINT_NUMBERS)
         self._bearings = {
-            gear: _Stamped(_no_force(bearing_frame(prefix, gear)), _FORCE_AND_TORQUE)
+            gear: _StampedMessage(_zero_wrench(bearing_frame(prefix, gear)), _FORCE_AND_TORQUE)
             for gear in ("driving", "driven")
         }
 
@@ -185,7 +185,7 @@ class Encoder:
         return samples if self._all_channels else np.ascontiguousarray(samples[:, self._columns])
 
 
-class _Packer:
+class _RowPacker:
     """Makes CDR of rows with fixed names. All bytes before the numbers are made once for each row count."""
 
     def __init__(self, row: str, names: Sequence[str]) -> None:
@@ -202,7 +202,7 @@ class _Packer:
         return b"".join((prefix, rows.astype("<f8", order="C", copy=False).data))
 
 
-class _Stamped:
+class _StampedMessage:
     """Makes CDR of a message that is constant except for the stamp of its header and its last numbers."""
 
     def __init__(self, example: bytes, numbers: str) -> None:
@@ -239,12 +239,12 @@ def _header(time_ns: int, frame_id: str) -> Any:
     return message_class("std_msgs/msg/Header")(stamp=stamp(time_ns), frame_id=frame_id)
 
 
-def _still(joints: Sequence[str]) -> bytes:
+def _joints_at_rest(joints: Sequence[str]) -> bytes:
     zeros = [0.0] * len(joints)
     return serialize(JOINT_STATE, joint_state(0, joints, zeros, zeros, zeros))
 
 
-def _no_force(frame_id: str) -> bytes:
+def _zero_wrench(frame_id: str) -> bytes:
     zero = message_class("geometry_msgs/msg/Vector3")(x=0.0, y=0.0, z=0.0)
     wrench = message_class("geometry_msgs/msg/Wrench")(force=zero, torque=zero)
     return serialize(WRENCH, message_class(WRENCH)(header=_header(0, frame_id), wrench=wrench))

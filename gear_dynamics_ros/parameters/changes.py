@@ -44,7 +44,7 @@ def change_to(old: Parameters, new: Parameters) -> ParameterChange:
         if not specifications()[name].runtime:
             raise UsageError(
                 f"{name} = {value_text(before[name])} is fixed while the gearbox runs: "
-                f"start it anew with {name} = {value_text(value)}"
+                f"start it again with {name} = {value_text(value)}"
             )
     # A -0.0 for a 0.0 counts as no difference, and must make none to the bits either.
     return ParameterChange(old, updated(old, values), values)

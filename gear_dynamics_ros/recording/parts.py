@@ -158,7 +158,7 @@ def _open_part(path: Path) -> PartFile:
             text = parameters.decode()
         except (KeyError, ValueError) as error:
             raise GearboxError(
-                f"'{path}' is no recording of this package, or its start is lost: {error}"
+                f"'{path}' was not recorded by this package, or its start is lost: {error}"
             ) from error
         stored = _stored(start, f"{path.name}: {layout.START_ATTACHMENT}")
         return PartFile(path, run, text, stored, path.stat().st_size, index)

@@ -247,7 +247,7 @@ class Recording:
         """Index of the sample with the stamp ``time_ns``. Raises GearboxError if no sample has it."""
         sample, rest = divmod(time_ns - self.epoch_ns, self.sample_interval_ns)
         if rest:
-            raise GearboxError(f"{self.path}: the time {time_ns} ns is that of no sample")
+            raise GearboxError(f"{self.path}: no sample has the time {time_ns} ns")
         return sample
 
     def stamp_of(self, sample: int) -> int:

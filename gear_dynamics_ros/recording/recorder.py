@@ -408,7 +408,7 @@ class _PartWriter:
         """Raise _StoppedError if the file was moved or removed."""
         if not self._mcap.in_place:
             raise _StoppedError(
-                f"its file '{self._path.name}' has gone: what was written is where it went; "
+                f"its file '{self._path.name}' was moved or removed, with what was written: "
                 "start a new recording"
             )
 
@@ -452,7 +452,7 @@ def _reason(error: Exception) -> str:
     if isinstance(error, _StoppedError):
         return str(error)
     if isinstance(error, FileNotFoundError):
-        return "its folder has gone: what was written is where it went; start a new recording"
+        return "its folder was moved or removed, with what was written: start a new recording"
     if isinstance(error, OSError) and error.strerror:
         return f"{error.strerror}: what was written stays readable; free space or choose another path"
     return f"{str(error) or repr(error)}: what was written stays readable; start a new recording"

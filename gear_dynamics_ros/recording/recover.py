@@ -53,9 +53,9 @@ class RecoveredPart(NamedTuple):
     messages: int  # kept, on all topics
     samples: int  # kept
     span: SampleRange | None  # from the first to the last sample kept
-    spoilt_chunks: int
-    spoilt_attachments: int
-    spoilt_metadata: int
+    damaged_chunks: int
+    damaged_attachments: int
+    damaged_metadata: int
 
     @property
     def tail(self) -> int:
@@ -65,7 +65,7 @@ class RecoveredPart(NamedTuple):
     @property
     def whole(self) -> bool:
         """Whether nothing of it was lost."""
-        return self.ended and not (self.spoilt_chunks or self.spoilt_attachments or self.spoilt_metadata)
+        return self.ended and not (self.damaged_chunks or self.damaged_attachments or self.damaged_metadata)
 
 
 class Recovery(NamedTuple):
@@ -263,11 +263,13 @@ def _inspect_all(
     inspected = [_inspect(file, _stage(progress, number, len(files))) for number, file in enumerate(files)]
     broken = [part for part in inspected if part is not None]
     if not broken:
-        raise GearboxError(f"'{files[0]}' is no MCAP file: its first bytes are not those of one")
+        raise GearboxError(f"'{files[0]}' is not an MCAP file: its first bytes are others")
     _require_own(source, broken)
     with_start, without_start = _separate(broken)
     left_out = {
-        **{file.name: "no MCAP file" for file, part in zip(files, inspected, strict=True) if part is None},
+        **{
+            file.name: "not an MCAP file" for file, part in zip(files, inspected, strict=True) if part is None
+        },
         **{part.path.name: "broke off before its start" for part in without_start},
     }
     return with_start, left_out
@@ -303,7 +305,7 @@ def _require_own(source: Path, files: Sequence[_BrokenFile]) -> None:
         part.library for part in files if part.library and not part.library.startswith(layout.RUN_METADATA)
     ]
     if len(others) == len(files) and all(part.run is None for part in files):
-        raise UsageError(f"'{source}' is no recording of this package: {others[0]!r:.80} wrote it")
+        raise UsageError(f"'{source}' was not recorded by this package: {others[0]!r:.80} wrote it")
 
 
 def _separate(files: Sequence[_BrokenFile]) -> tuple[list[_BrokenFile], list[_BrokenFile]]:
@@ -345,7 +347,7 @@ def _require_known(path: Path, content: ChunkContent) -> None:
         schema = content.schemas.get(channel.schema_id)
         if schema is not None and schema.name not in TYPESTORE.fielddefs:
             raise GearboxError(
-                f"'{path}' is no recording of this package: "
+                f"'{path}' was not recorded by this package: "
                 f"its topic {channel.topic!r:.80} has the type {schema.name!r:.80}"
             )
 
@@ -409,13 +411,13 @@ def _rebuild(
     tracker.begin_part(source.first_sample)
     with reading(source.path) as stream, closing(McapWriter(path, _LIBRARY)) as writer:
         _define(writer, definitions, tracker.node)
-        spoilt = _copy_records(source, stream, writer, definitions.channels, tracker, progress)
+        damaged = _copy_records(source, stream, writer, definitions.channels, tracker, progress)
         index = writer.index
         part = PartSummary(path.name, index.start_ns, index.end_ns, index.topic_counts())
         topics = _topics(index.schemas, index.channels, tracker.node)
         writer.add_metadata(layout.ROSBAG2_METADATA, layout.embedded_metadata(topics, part))
         writer.finish()
-    return _Rebuilt(part, topics, _recovered_part(source, part, tracker, spoilt))
+    return _Rebuilt(part, topics, _recovered_part(source, part, tracker, damaged))
 
 
 def _copy_records(
@@ -427,7 +429,7 @@ def _copy_records(
     progress: Callable[[float], None],
 ) -> Counter[int]:
     """Copy all intact records; returns the number of damaged ones by kind (opcode)."""
-    spoilt: Counter[int] = Counter()
+    damaged: Counter[int] = Counter()
     for record in _data(stream, source.end):
         progress((record.offset + record.length) / source.size)
         content = record.content
@@ -439,12 +441,12 @@ def _copy_records(
         elif isinstance(content, Metadata):
             _copy_metadata(writer, content)
         else:
-            spoilt[record.opcode] += 1
-    return spoilt
+            damaged[record.opcode] += 1
+    return damaged
 
 
 def _recovered_part(
-    source: _BrokenFile, part: PartSummary, tracker: _SampleTracker, spoilt: Counter[int]
+    source: _BrokenFile, part: PartSummary, tracker: _SampleTracker, damaged: Counter[int]
 ) -> RecoveredPart:
     return RecoveredPart(
         name=source.path.name,
@@ -455,9 +457,9 @@ def _recovered_part(
         messages=part.messages,
         samples=tracker.samples,
         span=tracker.span,
-        spoilt_chunks=spoilt[Opcode.CHUNK],
-        spoilt_attachments=spoilt[Opcode.ATTACHMENT],
-        spoilt_metadata=spoilt[Opcode.METADATA],
+        damaged_chunks=damaged[Opcode.CHUNK],
+        damaged_attachments=damaged[Opcode.ATTACHMENT],
+        damaged_metadata=damaged[Opcode.METADATA],
     )
 
 

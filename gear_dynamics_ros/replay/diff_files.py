@@ -150,7 +150,7 @@ def _finite_or_none(value: float) -> float | None:
 
 
 def _event_json(event: OperatorEvent) -> dict[str, Any]:
-    """The event without the checkpoint that a restore brought."""
+    """The event without the checkpoint of a restore."""
     return {
         "sample": event.sample,
         "time": event.time,

@@ -82,7 +82,9 @@ class PartReader:
         names[layout.checkpoint_name(self.part.first_sample)] += 1
         for name, count in names.items():
             if count > 1:
-                raise GearboxError(f"{path} holds {name} twice, or beside the start: one of them is wrong")
+                raise GearboxError(
+                    f"{path} has {name} twice, or in addition to the start: one of them is wrong"
+                )
         for earlier, later in pairwise(self.inputs):
             if later.time_ns < earlier.time_ns:
                 raise GearboxError(f"{path} goes back in time with a message on {later.topic}")
@@ -137,13 +139,13 @@ class PartReader:
         for message in self.part.messages(keys, self._recording.stamp_of(first)):
             key = keys[message.topic]
             if key in gathered:
-                raise GearboxError(f"{path}: two messages of one chunk stand on {message.topic}")
+                raise GearboxError(f"{path}: one chunk has two messages on {message.topic}")
             gathered[key] = message
             if key != "waveform":
                 continue
             times = {stored.time_ns for stored in gathered.values()}
             if len(times) > 1:
-                raise GearboxError(f"{path}: messages of one chunk bear the times {sorted(times)} ns")
+                raise GearboxError(f"{path}: messages of one chunk have the times {sorted(times)} ns")
             samples = len(decoder.rows(key, message.time_ns, message.data))
             begin = self._recording.sample_of(message.time_ns) - samples + 1
             if end is not None and begin >= end:
@@ -179,5 +181,5 @@ class PartReader:
                 yield sample, action
             elif position:
                 raise GearboxError(
-                    f"{self.part.path}: it starts at sample {first} but holds what acted at {sample}"
+                    f"{self.part.path}: it starts at sample {first} but has an action at {sample}"
                 )

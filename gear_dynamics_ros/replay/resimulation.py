@@ -108,13 +108,13 @@ class Resimulation:
                 engine.change(change_values(engine.parameters, event.parameters))
             except UsageError as error:
                 raise GearboxError(
-                    f"the change of parameters at sample {event.sample} can't be: {error}"
+                    f"the change of parameters at sample {event.sample} is invalid: {error}"
                 ) from error
         elif event.kind == RESTORE:
             try:
                 engine.resume(Checkpoint.from_tree(event.checkpoint))
             except GearboxError as error:
-                raise GearboxError(f"the restore at sample {event.sample} can't be: {error}") from error
+                raise GearboxError(f"the restore at sample {event.sample} is invalid: {error}") from error
         difference = compare_event(engine, event)
         if difference is None and event.kind == TIMEOUT:
             engine.command(engine.commands._replace(**event.commands))

@@ -18,14 +18,14 @@ def recovery_lines(report: Recovery) -> Iterator[str]:
     for gap in report.gaps:
         yield f"missing in between: {gap.end - gap.first} samples, {_times(gap, report)}"
     if not report.metadata_found:
-        yield "metadata.yaml was missing: made anew"
+        yield "metadata.yaml was missing: written again"
     yield f"read {report.size} bytes, kept {_kept(report, report)}"
     yield _verdict(report)
 
 
 def _state(part: RecoveredPart) -> str:
-    spoilt = _spoilt([part])
-    left_out = f"; left out as spoilt: {', '.join(spoilt)}" if spoilt else ""
+    damaged = _damaged([part])
+    left_out = f"; left out as damaged: {', '.join(damaged)}" if damaged else ""
     if part.whole:
         return "whole" if part.finished else "whole but for the index at its end"
     if part.ended:
@@ -40,11 +40,11 @@ def _kept(result: RecoveredPart | Recovery, report: Recovery) -> str:
     return f"{result.messages} messages, {result.samples} samples, {_times(result.span, report)}"
 
 
-def _spoilt(parts: Sequence[RecoveredPart]) -> list[str]:
+def _damaged(parts: Sequence[RecoveredPart]) -> list[str]:
     counts = {
-        "chunk": sum(part.spoilt_chunks for part in parts),
-        "attachment": sum(part.spoilt_attachments for part in parts),
-        "metadata record": sum(part.spoilt_metadata for part in parts),
+        "chunk": sum(part.damaged_chunks for part in parts),
+        "attachment": sum(part.damaged_attachments for part in parts),
+        "metadata record": sum(part.damaged_metadata for part in parts),
     }
     return [f"{count} {what}{'s' if count > 1 else ''}" for what, count in counts.items() if count]
 
@@ -62,12 +62,12 @@ def _verdict(report: Recovery) -> str:
     missing = sum(gap.end - gap.first for gap in report.gaps)
     lost = [
         *([f"{tail} bytes without a whole record"] if tail else []),
-        *_spoilt(report.parts),
+        *_damaged(report.parts),
         *([f"{missing} samples in between"] if missing else []),
         *([f"{len(report.left_out)} files"] if report.left_out else []),
     ]
-    told = f"lost: {', '.join(lost)}" if lost else "lost: what had not been flushed"
+    verdict = f"lost: {', '.join(lost)}" if lost else "lost: what had not been flushed"
     if report.messages:
-        return told
-    spoilt = any(part.spoilt_chunks for part in report.parts)
-    return f"{'no message is whole' if spoilt else 'nothing had been flushed yet'}; {told}"
+        return verdict
+    damaged = any(part.damaged_chunks for part in report.parts)
+    return f"{'no message is whole' if damaged else 'nothing had been flushed yet'}; {verdict}"

@@ -36,7 +36,7 @@ class CommandReceiver:
             return
         changes, unknown_joints = requested_changes(key, message, self._joint_prefix)
         for name in unknown_joints:
-            self._warn_once(name, f"~/command/joint: joint '{name}' takes no commands (said once)")
+            self._warn_once(name, f"~/command/joint: joint '{name}' takes no commands (reported once)")
         refusal = self._mailbox.offer(key, changes, data, time.monotonic_ns())
         if refusal:
             self._log.warning(refusal, throttle_duration_sec=WARNING_INTERVAL)
@@ -48,7 +48,7 @@ class CommandReceiver:
         for name in topics:
             self._warn_once(
                 name,
-                f"{name} has several publishers: the last message before a chunk edge counts (said once)",
+                f"{name} has several publishers: the last message before a chunk edge counts (reported once)",
             )
         return topics
 

@@ -43,7 +43,9 @@ def ros_context(node: str, arguments: Sequence[str]) -> Iterator[Context]:
     try:
         yield context
     except (InvalidTopicNameException, InvalidServiceNameException) as error:
-        raise UsageError(f"--node is {node!r}, no name of a ROS node: give one like /gearbox") from error
+        raise UsageError(
+            f"--node is {node!r}, not the name of a ROS node: give one such as /gearbox"
+        ) from error
     finally:
         context.try_shutdown()
 
@@ -123,7 +125,7 @@ class GearboxClient(ABC):
                 "or give a longer --timeout"
             )
         if not future.done():
-            raise GearboxError(f"{self._name} vanished when it was asked {what}: see its log")
+            raise GearboxError(f"{self._name} disappeared when it was asked {what}: see its log")
         return future.result()
 
     def _signal(self, failure: str) -> int:

@@ -34,7 +34,7 @@ from gear_dynamics_ros.topics import TOPICS, full_topic_name
 # Longest simulated time of one call of ~/step. Signals and progress are handled between two calls.
 LONGEST_STEP_NS = 200_000_000
 MOST_CHUNKS = 1_000_000  # upper bound of stepping.chunks
-_DOUBT = "see its log: it may have refused one, or have got one late, or somebody else commands it"
+_DOUBT = "see its log: it may have refused one or received it late, or another client commands it"
 # Parameters of the gearbox that this client sets, and sets back at the end.
 STEP_CHUNKS, STEP_TIMEOUT = "stepping.chunks", "stepping.timeout"
 
@@ -167,7 +167,7 @@ class _ScriptClient(GearboxClient):
         if not self._stepping:
             return
         if self._found_running:
-            self._succeed(self._pause, SetBool.Request(data=False), "to go on")
+            self._succeed(self._pause, SetBool.Request(data=False), "to continue")
         self._set(self._known.stepping)
 
     def outcome(self, failure: str) -> ScriptOutcome:
@@ -316,7 +316,7 @@ class _ScriptClient(GearboxClient):
     @property
     def _known(self) -> _GearboxInfo:
         if self._gearbox is None:
-            raise GearboxError(f"{self._name} has not said what it is: see its log")
+            raise GearboxError(f"{self._name} has not published ~/model_info: see its log")
         return self._gearbox
 
     def _ready(self) -> bool:

@@ -199,7 +199,7 @@ class GearboxNode(LifecycleNode):
             return
         self._log.error(f"run ended: {state.reason}; call ~/reset to recover")
         if session.recordings.ring is not None:
-            self._log.info(f"what led to it is in {session.recordings.snapshot_path or 'no recording'}")
+            self._log.info(f"what preceded it is in {session.recordings.snapshot_path or 'no recording'}")
 
     # Requests
 

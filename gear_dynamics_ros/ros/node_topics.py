@@ -81,7 +81,7 @@ def read_command(key: str, data: bytes) -> Any:
     try:
         return deserialize(kind, data)
     except GearboxError as error:
-        raise GearboxError(f"{TOPICS[key].name}: what came is no {kind}: {error}") from error
+        raise GearboxError(f"{TOPICS[key].name}: the message is not a valid {kind}: {error}") from error
 
 
 def command_names(node: Node) -> list[str]:

@@ -184,7 +184,7 @@ class _ProfileClient(GearboxClient):
     def _ending(self) -> str:
         if self._ended:
             return f"{self._name} ended the run at {self._progress()}: {self._ended}"
-        return f"{self._name} vanished at {self._progress()}: see its log"
+        return f"{self._name} disappeared at {self._progress()}: see its log"
 
     def _progress(self) -> str:
         played = self._player.time if self._player is not None else 0.0

@@ -162,7 +162,7 @@ def load_checkpoint(path: Path) -> StoredCheckpoint:
     except FileNotFoundError:
         raise UsageError(f"there is no checkpoint '{path}': name a file that was saved") from None
     except UnicodeDecodeError:
-        raise UsageError(f"'{path}' is no checkpoint: it is no text") from None
+        raise UsageError(f"'{path}' is not a checkpoint: it is not text") from None
     except OSError as error:
         raise GearboxError(f"checkpoint '{path}' can't be read: {error.strerror}") from error
     return StoredCheckpoint.from_text(text, str(path))
@@ -206,7 +206,7 @@ def decides_physics(name: str) -> bool:
 
 def _mapping(value: Any) -> dict[str, Any]:
     if not isinstance(value, Mapping):
-        raise TypeError(f"{value!r:.40} is no mapping")
+        raise TypeError(f"{value!r:.40} is not a mapping")
     return dict(value)
 
 
@@ -220,5 +220,5 @@ def _require_format(content: Mapping[str, Any]) -> None:
 
 def _sample_index(value: Any) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 1 << 62:
-        raise ValueError(f"{value!r:.40} is no index of a sample")
+        raise ValueError(f"{value!r:.40} is not an index of a sample")
     return value

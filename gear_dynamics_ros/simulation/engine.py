@@ -114,7 +114,7 @@ class Engine:
         Raises GearboxError if the run had ended already.
         """
         if self.status is not Status.RUNNING:
-            raise GearboxError(f"the run has ended ({self._reason()}); reset it to go on")
+            raise GearboxError(f"the run has ended ({self._reason()}); reset it to continue")
         count = self.parameters.solver.samples_per_chunk if samples is None else samples
         rows = np.empty((count, self._columns))
         angles = np.empty((count, 2))

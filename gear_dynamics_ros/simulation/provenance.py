@@ -75,7 +75,7 @@ def processor_name() -> str:
 def provenance_differences(recorded: Provenance) -> list[str]:
     """The fields of ``recorded`` that differ from this process, as one line each."""
     return [
-        f"{name.replace('_', ' ')}: recorded by {theirs or 'one that did not say'}, this is {ours}"
+        f"{name.replace('_', ' ')}: recorded by {theirs or 'an unknown one'}, this is {ours}"
         for name, theirs, ours in zip(Provenance._fields, recorded, current_provenance(), strict=True)
         if theirs != ours
     ]

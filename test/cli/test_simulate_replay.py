@@ -38,7 +38,7 @@ def test_simulate_records_what_the_engine_gives(bag: Path) -> None:
 
 def test_verify_proves_it(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert replay_main(["verify", str(bag)]) == 0
-    assert "2000 samples of 28 channels came out the same to the bit" in capsys.readouterr().out
+    assert "2000 samples of 28 channels are the same to the bit" in capsys.readouterr().out
 
 
 def test_info_tells_what_is_there(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:

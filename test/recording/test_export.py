@@ -270,16 +270,16 @@ def test_a_file_that_came_meanwhile_is_left_alone(bag: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
-def test_a_spoilt_recording_leaves_no_file(
+def test_a_damaged_recording_leaves_no_file(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str
 ) -> None:
     content = bytearray((bag / "bag_0.mcap").read_bytes())
     content[len(content) * 2 // 3] ^= 1
-    (tmp_path / "spoilt.mcap").write_bytes(content)
+    (tmp_path / "damaged.mcap").write_bytes(content)
     out = tmp_path / "out"
     out.mkdir()
-    assert replay_main(["export", str(tmp_path / "spoilt.mcap"), "--output", str(out / f"x.{suffix}")]) == 1
-    assert "spoilt" in error_line(capsys)
+    assert replay_main(["export", str(tmp_path / "damaged.mcap"), "--output", str(out / f"x.{suffix}")]) == 1
+    assert "damaged" in error_line(capsys)
     assert not os.listdir(out)
 
 

@@ -126,11 +126,11 @@ def test_attachments_and_metadata_are_there(made: Made, reports: list[dict[str, 
         assert f"- {made.files[number].name}\n" in report["metadata"]["rosbag2"]["serialized_metadata"]
 
 
-def test_a_spoilt_file_is_refused(node: str, made: Made, tmp_path: Path) -> None:
+def test_a_damaged_file_is_refused(node: str, made: Made, tmp_path: Path) -> None:
     content = bytearray(made.files[0].read_bytes())
     content[len(content) // 3] ^= 1
-    (tmp_path / "spoilt.mcap").write_bytes(content)
-    done = read(node, tmp_path / "spoilt.mcap")
+    (tmp_path / "damaged.mcap").write_bytes(content)
+    done = read(node, tmp_path / "damaged.mcap")
     assert done.returncode != 0
     assert done.stdout == ""
     assert "CRC" in done.stderr or "zstd" in done.stderr.lower(), done.stderr

@@ -106,13 +106,13 @@ def test_no_bytes_raise_anything_but_an_error_of_this_package(
     samples: dict[str, Record], rng: random.Random, data: st.DataObject
 ) -> None:
     topic = data.draw(st.sampled_from(sorted(samples)))
-    spoilt = bytearray(samples[topic].data)
+    damaged = bytearray(samples[topic].data)
     for _ in range(rng.choice([0, 1, 1, 3, 30])):
         # Lengths and offsets stand at the beginning.
-        at = rng.randrange(min(len(spoilt), rng.choice([16, 64, len(spoilt)])))
-        spoilt[at] = rng.choice([0, 1, 0x7F, 0x80, 0xFF, rng.randrange(256)])
-    cut = rng.choice([None, rng.randrange(len(spoilt) + 1)])
-    decode(topic, bytes(spoilt[:cut]) + rng.randbytes(rng.choice([0, 0, 1, 3, 8])))
+        at = rng.randrange(min(len(damaged), rng.choice([16, 64, len(damaged)])))
+        damaged[at] = rng.choice([0, 1, 0x7F, 0x80, 0xFF, rng.randrange(256)])
+    cut = rng.choice([None, rng.randrange(len(damaged) + 1)])
+    decode(topic, bytes(damaged[:cut]) + rng.randbytes(rng.choice([0, 0, 1, 3, 8])))
 
 
 @given(st.sampled_from(sorted(TOPICS)), st.binary(max_size=200))
@@ -198,7 +198,7 @@ EVENTS: dict[str, Callable[[], Change]] = {
     "with a list of parameters": lambda: in_event(
         "parameters", lambda entries: entries.update(parameters=[1])
     ),
-    "that is no object": lambda: on_topic("event", 1, put("data", "[1]")),
+    "that is not an object": lambda: on_topic("event", 1, put("data", "[1]")),
     "that is no JSON": lambda: on_topic("event", 1, put("data", "{")),
     "cut short": lambda: cut_short("event", 1),
 }
@@ -208,7 +208,7 @@ def told(capsys: pytest.CaptureFixture[str], tool: str, topic: str) -> None:
     """Assert that one line on stderr names the message."""
     error = capsys.readouterr().err
     assert error.startswith(f"{tool}: error: ") and error.count("\n") == 1
-    assert f"the message on ~/{topic} at " in error and " ns is spoilt: " in error
+    assert f"the message on ~/{topic} at " in error and " ns is damaged: " in error
 
 
 def check_tools(
@@ -222,17 +222,17 @@ def check_tools(
     # What can't be decoded is kept all the same.
     assert replay_main(["recover", str(path)]) == 0
     assert "nothing was lost" in capsys.readouterr().out
-    assert recording.open(out / "spoilt_recovered").size > 0
+    assert recording.open(out / "damaged_recovered").size > 0
 
 
 TOOLS = (["info", "BAG"], ["verify", "BAG"], ["diff", "BAG", "BAG"], ["publish", "BAG"])
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_spoilt_commands_in_force_are_told_in_one_line(
+def test_damaged_commands_in_force_are_told_in_one_line(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
-    path = alter(bag, tmp_path / "spoilt", message=COMMANDS[name]())
+    path = alter(bag, tmp_path / "damaged", message=COMMANDS[name]())
     export = ["export", "BAG", "--table", "commands", "--output", "OUT"]
     check_tools(path, tmp_path, capsys, "command/applied", *TOOLS, export)
     assert analyze_main([str(path), "--output", str(tmp_path / "out")]) == 1
@@ -240,10 +240,10 @@ def test_spoilt_commands_in_force_are_told_in_one_line(
 
 
 @pytest.mark.parametrize("name", EVENTS)
-def test_a_spoilt_event_is_told_in_one_line(
+def test_a_damaged_event_is_told_in_one_line(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
-    path = alter(bag, tmp_path / "spoilt", message=EVENTS[name]())
+    path = alter(bag, tmp_path / "damaged", message=EVENTS[name]())
     export = ["export", "BAG", "--table", "events", "--output", "OUT"]
     check_tools(path, tmp_path, capsys, "event", *TOOLS, export)
     assert analyze_main([str(path), "--output", str(tmp_path / "out")]) == 1
@@ -268,11 +268,11 @@ ROWS: dict[str, tuple[str, Act]] = {
 
 
 @pytest.mark.parametrize("name", ROWS)
-def test_spoilt_rows_are_told_in_one_line(
+def test_damaged_rows_are_told_in_one_line(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
     topic, change = ROWS[name]
-    path = alter(bag, tmp_path / "spoilt", message=on_topic(topic, 0, change))
+    path = alter(bag, tmp_path / "damaged", message=on_topic(topic, 0, change))
     export = ["export", "BAG", "--table", topic, "--output", "OUT"]
     for words in (["verify", "BAG"], export):
         given = {"BAG": str(path), "OUT": str(tmp_path / "out.csv")}
@@ -284,7 +284,7 @@ def test_spoilt_rows_are_told_in_one_line(
 def test_a_command_that_is_none_is_told_by_verify(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], topic: str
 ) -> None:
-    path = alter(bag, tmp_path / "spoilt", message=cut_short(topic, 0))
+    path = alter(bag, tmp_path / "damaged", message=cut_short(topic, 0))
     assert replay_main(["verify", str(path)]) == 1
     error = capsys.readouterr().err
     assert f"the message on {TOPICS[topic].name} at " in error and error.count("\n") == 1
@@ -301,7 +301,7 @@ def test_a_start_that_counts_no_samples_is_told(
         content["checkpoint"]["sample"] = value
         return json.dumps(content).encode()
 
-    path = alter(bag, tmp_path / "spoilt", attachment=change)
+    path = alter(bag, tmp_path / "damaged", attachment=change)
     assert replay_main(["info", str(path)]) == 1
     error = capsys.readouterr().err
     assert "start.json" in error and error.count("\n") == 1

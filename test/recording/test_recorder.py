@@ -154,7 +154,7 @@ def test_a_folder_that_is_taken_away_is_noticed(
         path.mkdir()
         (path / "bag_0.mcap").write_bytes(b"mine")
     error = until_stopped(made)
-    assert "has gone: what was written" in error and str(path) in error
+    assert "was moved or removed, with what was written" in error and str(path) in error
     assert made.engine.sample > 10 * CHUNK
     if what == "another in its place":
         assert [file.name for file in path.iterdir()] == ["bag_0.mcap"]
@@ -336,7 +336,7 @@ def test_a_recording_that_stopped_makes_way_for_another(session: Session, tmp_pa
     stopped = session.recordings.current
     assert stopped is not None
     until(lambda: stopped.error, "the recorder notices")
-    with pytest.raises(GearboxError, match="has gone"):
+    with pytest.raises(GearboxError, match="was moved or removed, with what was written"):
         session.split().result()
     (tmp_path / "bag").mkdir()
     assert session.start_recording().result() == f"recording to {tmp_path / 'bag_2'}"

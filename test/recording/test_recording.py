@@ -416,9 +416,9 @@ def test_a_crash_right_after_a_split_keeps_the_parts_before(bag: Path, tmp_path:
     assert equal(read.waveform(), samples_of(range(40)))
 
 
-def test_a_spoilt_chunk_is_noticed(bag: Path, tmp_path: Path) -> None:
+def test_a_damaged_chunk_is_noticed(bag: Path, tmp_path: Path) -> None:
     content = bytearray((bag / "bag_0.mcap").read_bytes())
     content[len(content) // 3] ^= 1
-    (tmp_path / "spoilt.mcap").write_bytes(content)
-    with pytest.raises(GearboxError, match="spoilt"):
-        recording.open(tmp_path / "spoilt.mcap").waveform()
+    (tmp_path / "damaged.mcap").write_bytes(content)
+    with pytest.raises(GearboxError, match="damaged"):
+        recording.open(tmp_path / "damaged.mcap").waveform()

@@ -1,4 +1,4 @@
-"""Recovery: recordings cut, killed, spoilt and made up; what was whole is kept to the bit, nothing else."""
+"""Recovery: recordings cut, killed, damaged and made up; what was whole is kept to the bit, nothing else."""
 
 from __future__ import annotations
 
@@ -277,29 +277,29 @@ def test_parts_keep_their_numbers(bag: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("where", ["content", "first", "last", "length"])
-def test_a_spoilt_chunk_is_left_out_and_the_gap_is_told(
+def test_a_damaged_chunk_is_left_out_and_the_gap_is_told(
     bag: Path, samples: np.ndarray[Any, Any], tmp_path: Path, where: str
 ) -> None:
     chunks = filled_chunks(bag / "bag_1.mcap")
-    spoilt = {"first": chunks[0], "last": chunks[-1]}.get(where, chunks[4])
+    damaged = {"first": chunks[0], "last": chunks[-1]}.get(where, chunks[4])
     content = bytearray((bag / "bag_1.mcap").read_bytes())
-    content[spoilt.start + 4 if where == "length" else (spoilt.start + spoilt.end) // 2] ^= 0x20
-    report = recovered(changed(bag, tmp_path / "spoilt", 1, content), tmp_path / "out")
+    content[damaged.start + 4 if where == "length" else (damaged.start + damaged.end) // 2] ^= 0x20
+    report = recovered(changed(bag, tmp_path / "damaged", 1, content), tmp_path / "out")
     # where the length is wrong, nobody knows where the next record begins
-    end = chunks[-1].last if where == "length" else spoilt.last
+    end = chunks[-1].last if where == "length" else damaged.last
     # the first may hold nothing but the channels
-    assert report.gaps == ((SampleRange(spoilt.first, end),) if end > spoilt.first else ())
+    assert report.gaps == ((SampleRange(damaged.first, end),) if end > damaged.first else ())
     part = report.parts[1]
     if where == "length":
-        assert (part.break_at, part.spoilt_chunks) == (spoilt.start, 0)
+        assert (part.break_at, part.damaged_chunks) == (damaged.start, 0)
     else:
-        assert (part.ended, part.spoilt_chunks, part.finished) == (True, 1, True)
+        assert (part.ended, part.damaged_chunks, part.finished) == (True, 1, True)
     assert check_files(tmp_path / "out") == report.messages
     rows = np.concatenate([rows for _, rows in rows_in(tmp_path / "out")])
-    assert rows.tobytes() == np.delete(samples, slice(spoilt.first, end), axis=0).tobytes()
+    assert rows.tobytes() == np.delete(samples, slice(damaged.first, end), axis=0).tobytes()
     opened = recording.open(tmp_path / "out")
     assert opened.waveform(end).tobytes() == samples[end:].tobytes()
-    assert opened.waveform(0, spoilt.first).tobytes() == samples[: spoilt.first].tobytes()
+    assert opened.waveform(0, damaged.first).tobytes() == samples[: damaged.first].tobytes()
 
 
 def test_channels_lost_with_the_first_chunk_come_from_another_part(
@@ -308,8 +308,8 @@ def test_channels_lost_with_the_first_chunk_come_from_another_part(
     chunks = filled_chunks(bag / "bag_2.mcap")
     content = bytearray((bag / "bag_2.mcap").read_bytes()[: chunks[-1].end])
     content[chunks[0].end - 9] ^= 1
-    report = recovered(changed(bag, tmp_path / "spoilt", 2, content), tmp_path / "out")
-    assert report.parts[2].spoilt_chunks == 1
+    report = recovered(changed(bag, tmp_path / "damaged", 2, content), tmp_path / "out")
+    assert report.parts[2].damaged_chunks == 1
     assert report.samples == len(samples) - (chunks[0].last - chunks[0].first)
     assert check_files(tmp_path / "out") == report.messages
 
@@ -409,7 +409,7 @@ def test_a_summary_that_lies_is_noticed(bag: Path, tmp_path: Path) -> None:
             seen = read_index(stream)
             assert seen.complete == complete
             if complete:
-                with pytest.raises(GearboxError, match="spoilt"):
+                with pytest.raises(GearboxError, match="damaged"):
                     [read_chunk(stream, each) for each in seen.chunks]
         report = recovered(path, tmp_path / "out")
         assert report.whole and report.span == (0, SPLITS[0] * ROWS)
@@ -419,7 +419,7 @@ def test_a_summary_that_lies_is_noticed(bag: Path, tmp_path: Path) -> None:
 def test_an_attachment_is_read_by_itself_and_checked(bag: Path, tmp_path: Path) -> None:
     content = bytearray((bag / "bag_0.mcap").read_bytes())
     content[content.index(b"backlash")] ^= 1
-    path = tmp_path / "spoilt.mcap"
+    path = tmp_path / "damaged.mcap"
     path.write_bytes(content)
     with path.open("rb") as stream:
         parameters, start, *_ = read_index(stream).attachments
@@ -427,7 +427,7 @@ def test_an_attachment_is_read_by_itself_and_checked(bag: Path, tmp_path: Path) 
         with pytest.raises(GearboxError, match="checksum"):
             read_attachment(stream, parameters)
     report = recovered(path, tmp_path / "out")
-    assert (report.parts[0].spoilt_attachments, report.whole) == (1, False)
+    assert (report.parts[0].damaged_attachments, report.whole) == (1, False)
     with (tmp_path / "out" / "out_0.mcap").open("rb") as stream:
         assert [entry.name for entry in read_index(stream).attachments] == ["start.json", "end.json"]
     with pytest.raises(GearboxError, match=r"parameters\.yaml"):
@@ -437,28 +437,30 @@ def test_an_attachment_is_read_by_itself_and_checked(bag: Path, tmp_path: Path) 
 def test_the_report_tells_what_was_kept_and_lost(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    spoilt, broken = filled_chunks(bag / "bag_1.mcap")[4], filled_chunks(bag / "bag_2.mcap")[5]
+    damaged, broken = filled_chunks(bag / "bag_1.mcap")[4], filled_chunks(bag / "bag_2.mcap")[5]
     content = bytearray((bag / "bag_1.mcap").read_bytes())
-    content[spoilt.end - 9] ^= 1
+    content[damaged.end - 9] ^= 1
     source = changed(bag, tmp_path / "source", 1, content)
     (source / "bag_2.mcap").write_bytes((bag / "bag_2.mcap").read_bytes()[: broken.end - 1])
     (source / "metadata.yaml").unlink()
     assert replay_main(["recover", str(source)]) == 0
     told = capsys.readouterr().out.splitlines()
     target = tmp_path / "source_recovered"
-    missing, tail = spoilt.last - spoilt.first, broken.end - broken.start - 1
+    missing, tail = damaged.last - damaged.first, broken.end - broken.start - 1
     size = sum(file.stat().st_size for file in source.iterdir())
     counts = [part.index.counts for part in recording.open(target).parts]
     kept = f"{broken.first - missing} samples, 0 to {broken.first - 1} (0.000000 s to "
     assert told[0] == f"{source}: recovered to {target}"
     assert told[1].endswith("bytes  whole")
-    assert told[3].endswith("complete; left out as spoilt: 1 chunk")
+    assert told[3].endswith("complete; left out as damaged: 1 chunk")
     assert told[5].endswith(
         f"breaks off at byte {broken.start}: the {tail} bytes behind it hold no whole record"
     )
     assert told[6].startswith(f"    kept {sum(counts[2].values())} messages, ")
-    assert told[7].startswith(f"missing in between: {missing} samples, {spoilt.first} to {spoilt.last - 1} ")
-    assert told[8] == "metadata.yaml was missing: made anew"
+    assert told[7].startswith(
+        f"missing in between: {missing} samples, {damaged.first} to {damaged.last - 1} "
+    )
+    assert told[8] == "metadata.yaml was missing: written again"
     assert told[9].startswith(
         f"read {size} bytes, kept {sum(sum(each.values()) for each in counts)} messages, {kept}"
     )
@@ -502,7 +504,7 @@ def test_a_recording_of_another_program_is_refused(
         writer.finish()
     assert replay_main(["recover", str(path)]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert "no recording of this package: 'another program' wrote it" in line
+    assert "was not recorded by this package: 'another program' wrote it" in line
     assert [each.name for each in tmp_path.iterdir()] == ["other.mcap"]
 
 
@@ -510,11 +512,11 @@ def test_a_file_that_is_no_mcap_is_left_out_or_refused(bag: Path, tmp_path: Path
     source = changed(bag, tmp_path / "source", 2, bytes(5_000_000))
     report = recovered(source, tmp_path / "out")
     assert (dict(report.left_out), len(report.parts), report.whole) == (
-        {"bag_2.mcap": "no MCAP file"},
+        {"bag_2.mcap": "not an MCAP file"},
         2,
         False,
     )
-    with pytest.raises(GearboxError, match=r"bag_2\.mcap' is no MCAP file"):
+    with pytest.raises(GearboxError, match=r"bag_2\.mcap' is not an MCAP file"):
         recover(source / "bag_2.mcap", tmp_path / "no")
     assert not (tmp_path / "no").exists()
 
@@ -525,7 +527,7 @@ def test_a_recording_of_others_is_refused(tmp_path: Path) -> None:
     message = Message(channel_id=1, log_time=1, data=b"1234", publish_time=1, sequence=0)
     path = tmp_path / "other.mcap"
     path.write_bytes(MCAP0_MAGIC + encode((Header("ros2", ""), chunk_of(encode((schema, channel, message))))))
-    with pytest.raises(GearboxError, match="no recording of this package"):
+    with pytest.raises(GearboxError, match="was not recorded by this package"):
         recover(path, tmp_path / "out")
 
 

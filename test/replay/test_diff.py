@@ -376,8 +376,8 @@ def test_a_broken_off_recording_is_compared_as_far_as_it_goes(
     shown = capsys.readouterr()
     assert shown.err == f"replay: warning: B is broken off: {broken}\n"
     assert "what both have is the same to the bit, but one has more" in shown.out
-    spoilt = bytearray(content)
-    spoilt[len(content) // 2] ^= 1
-    broken.write_bytes(spoilt)
+    damaged = bytearray(content)
+    damaged[len(content) // 2] ^= 1
+    broken.write_bytes(damaged)
     assert replay_main(["diff", str(whole), str(broken)]) == 1
-    assert "spoilt" in capsys.readouterr().err
+    assert "damaged" in capsys.readouterr().err

@@ -149,7 +149,7 @@ def test_what_a_node_recorded_comes_out_the_same_in_lockstep(
     run = publish(process, bag.path, "--lockstep")
     assert run.wait() == 0, run.output + gearbox.output
     assert run.stderr == ""
-    assert "/gearbox goes on running, as it was found" in run.stdout
+    assert "/gearbox runs again, as before" in run.stdout
     again = recorded_by(operator)
     assert_same(bag, again, origin(run))
     shift = origin(run) - bag.first_sample
@@ -186,7 +186,7 @@ def test_resets_changes_and_parts_come_out_the_same(
     second = publish(process, after.path, "--lockstep", "--no-reset")
     assert second.wait() == 0, second.output
     assert second.stderr == "replay: not played: 1 changes of pacing or stepping\n"
-    assert "/gearbox stays paused, as it was found" in second.stdout
+    assert "/gearbox stays paused, as before" in second.stdout
     assert origin(second) - origin(first) == after.first_sample
     assert_same(whole, recorded_by(operator), origin(first))
     assert operator.switch("pause", False).success
@@ -229,7 +229,7 @@ def test_an_interrupted_lockstep_leaves_the_gearbox_as_it_was(
     (line,) = run.stderr.splitlines()
     assert line.startswith("replay: interrupted by SIGINT at ")
     assert line.endswith(" s of the recording's 1 s")
-    assert "/gearbox goes on running, as it was found" in run.stdout
+    assert "/gearbox runs again, as before" in run.stdout
     operator.until(lambda: operator.told("resume"))
     assert operator.stepping() == [1, 10.0]
 
@@ -244,7 +244,7 @@ def test_somebody_else_who_commands_is_noticed(
         operator.executor.spin_once(timeout_sec=0.0)
     assert run.wait() == 1, run.output
     (line,) = run.stderr.splitlines()
-    assert "load -5 N m" in line and "somebody else commands it" in line
+    assert "load -5 N m" in line and "another client commands it" in line
 
 
 def test_commands_that_the_gearbox_refuses_are_told(

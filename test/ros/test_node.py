@@ -614,7 +614,7 @@ def test_a_ring_is_written_when_asked_for_and_when_the_run_ends_by_a_fault(
         assert client.put("operation.speed_limit", 1625.0).successful
         client.put("operation.speed", 1624.9)
         client.put("operation.governor.proportional", 50.0)
-        node.wait_for(f"what led to it is in {tmp_path / 'bag_4'}")
+        node.wait_for(f"what preceded it is in {tmp_path / 'bag_4'}")
         node.signal(signal.SIGTERM)
         assert node.wait() == 0
     for name in ("bag", "bag_2", "bag_3", "bag_4"):

@@ -208,4 +208,4 @@ def test_a_spoilt_state_in_a_sound_file_is_refused(
     file.write_text(json.dumps(content))
     words = ["--from-checkpoint", str(file), "--duration", "0.005", "--output", str(tmp_path / "bag")]
     assert simulate(words) == 1
-    assert "lacks or spoils an entry: KeyError('u')" in capsys.readouterr().err
+    assert "an entry of the checkpoint is missing or invalid: KeyError('u')" in capsys.readouterr().err

@@ -40,7 +40,7 @@ class TableFile(Protocol):
 
 
 # Makes a TableFile from an open file, the columns, and texts about the origin of the table.
-Maker = Callable[[BinaryIO, Sequence[TableColumn], Mapping[str, str]], TableFile]
+TableFactory = Callable[[BinaryIO, Sequence[TableColumn], Mapping[str, str]], TableFile]
 
 
 class CsvFile:
@@ -172,7 +172,7 @@ class ParquetFile:
         )
 
 
-FORMATS: Final[Mapping[str, Maker]] = {
+FORMATS: Final[Mapping[str, TableFactory]] = {
     "parquet": ParquetFile,
     "csv": CsvFile,
     "npy": NpyFile,

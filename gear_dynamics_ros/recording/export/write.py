@@ -8,7 +8,7 @@ from typing import BinaryIO, NamedTuple
 
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.recording.export import tables
-from gear_dynamics_ros.recording.export.formats import FORMATS, Maker
+from gear_dynamics_ros.recording.export.formats import FORMATS, TableFactory
 from gear_dynamics_ros.recording.export.tables import ExportTable
 from gear_dynamics_ros.recording.reader import Recording
 from gear_dynamics_ros.system.files import new_file
@@ -91,7 +91,7 @@ def _about(recording: Recording, table: str) -> dict[str, str]:
 def _write(
     stream: BinaryIO,
     table: ExportTable,
-    make: Maker,
+    make: TableFactory,
     about: Mapping[str, str],
     progress: Callable[[int], None] | None,
 ) -> int:

@@ -129,7 +129,9 @@ def read_bytes(stream: BinaryIO, offset: int, length: int) -> bytes:
     except OSError as error:
         raise GearboxError(f"can't read '{stream.name}': {error.strerror}") from error
     if len(data) != length:
-        raise GearboxError(f"'{stream.name}' became shorter while it was read: try again when it rests")
+        raise GearboxError(
+            f"'{stream.name}' became shorter while it was read: try again when no program writes to it"
+        )
     return data
 
 
@@ -166,9 +168,9 @@ def record_at(stream: BinaryIO, offset: int, kind: type[T]) -> T:
     record = None if head is None else _decode(stream, offset, *head)
     if record is not None and isinstance(record.content, kind):
         return record.content
-    fault = record.fault if record is not None and record.fault else f"no {kind.__name__} stands there"
+    fault = record.fault if record is not None and record.fault else f"it is not of the type {kind.__name__}"
     raise GearboxError(
-        f"{stream.name}: the record at byte {offset} is spoilt: {fault}: replay recover keeps what is whole"
+        f"{stream.name}: the record at byte {offset} is damaged: {fault}: replay recover keeps what is whole"
     )
 
 
@@ -215,7 +217,7 @@ def split_records(data: bytes) -> Iterator[tuple[int, int, memoryview]]:
         opcode, length = _HEAD.unpack_from(data, offset)
         begin = offset + _HEAD.size
         if begin + length > len(data):
-            raise ValueError(f"a record of {length} bytes inside goes beyond its end")
+            raise ValueError(f"a record of {length} bytes in it is longer than the rest")
         yield opcode, offset, view[begin : begin + length]
         offset = begin + length
 
