@@ -80,7 +80,8 @@ def test_speed_comes_back_after_each_load_step(ros_domain, process, bench):
         "operation.load_torque": LOADS[0],
         "operation.command_timeout": 5.0,
         "operation.on_timeout": "release",
-        "pacing.real_time_factor": 0.5,
+        # What a busy machine adds to the delay over the topics counts by as much less.
+        "pacing.real_time_factor": 0.25,
     }
     start_gearbox(process, *(f"{name}:={value}" for name, value in settings.items()))
     bench.until(lambda: bench.rows)
