@@ -317,7 +317,7 @@ class EngineThread:
         timeout = self._operation.command_timeout
         before = self._timed_out
         self._timed_out = timeout > 0.0 and not delivery.changes and delivery.age_ns > timeout * 1e9
-        if self._timed_out and (not before or self.run.unreleased):
+        if self._timed_out and (not before or self.run.timeout_changes_torques):
             self.run.time_out()
 
     def _chunk(self, delivery: Delivery) -> Chunk:

@@ -192,7 +192,7 @@ class Session:
 
         def resume() -> None:
             running = self.parameters
-            self.engine_thread.change(change_to(running, checkpoint.continued(stored, running)))
+            self.engine_thread.change(change_to(running, checkpoint.parameters_to_continue(stored, running)))
             self._run.resume(stored.checkpoint, str(path))
 
         return self._restart(f"restored {path}", resume)

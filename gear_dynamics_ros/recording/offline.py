@@ -13,7 +13,7 @@ from gear_dynamics_ros.messages.encoder import Encoder, Record
 from gear_dynamics_ros.parameters import Parameters, change_to
 from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.recording.recorder_sink import RecorderSink
-from gear_dynamics_ros.simulation.checkpoint import StoredCheckpoint, continued
+from gear_dynamics_ros.simulation.checkpoint import StoredCheckpoint, parameters_to_continue
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.simulation.run_state import Ending
@@ -54,7 +54,7 @@ def engine_from_checkpoint(stored: StoredCheckpoint, parameters: Parameters) -> 
 
     Raises UsageError if ``parameters`` don't fit the state, GearboxError if the state is invalid.
     """
-    engine = Engine(continued(stored, parameters))
+    engine = Engine(parameters_to_continue(stored, parameters))
     engine.resume(stored.checkpoint)
     engine.change(change_to(engine.parameters, parameters))
     return engine

@@ -188,7 +188,7 @@ def require_fitting(stored: StoredCheckpoint, running: Parameters) -> None:
             )
 
 
-def continued(stored: StoredCheckpoint, running: Parameters) -> Parameters:
+def parameters_to_continue(stored: StoredCheckpoint, running: Parameters) -> Parameters:
     """Parameters for a gearbox with ``running`` that continues from ``stored``.
 
     Parameters that decide the physics are those of ``stored``; pacing, time-outs, outputs and files stay as

@@ -112,7 +112,7 @@ class Run:
         self._start_again(RESTORE, message, checkpoint=checkpoint.to_tree())
 
     @property
-    def unreleased(self) -> bool:
+    def timeout_changes_torques(self) -> bool:
         """Whether a time-out would change the torques in force."""
         in_force = self.engine.commands
         released = commands_of_timeout(self.engine.parameters.operation)

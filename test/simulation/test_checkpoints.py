@@ -139,7 +139,7 @@ def test_what_does_not_decide_the_physics_stays_with_who_goes_on(file: Path) -> 
         "waveform_channels": ("time", "dte"),
     }
     running = Parameters.from_flat({"model": "compared", "oil.viscosity": 1.0, **mine})
-    taken = checkpoint.continued(checkpoint.load_checkpoint(file), running).to_flat()
+    taken = checkpoint.parameters_to_continue(checkpoint.load_checkpoint(file), running).to_flat()
     assert {name: taken[name] for name in mine} == mine
     assert (taken["mesh.stiffness"], taken["oil.viscosity"]) == (2e8, 0.0228)
     assert taken["operation.load_torque"] == 3.0
