@@ -77,11 +77,11 @@ def create_subscriptions(
 
 def read_command(key: str, data: bytes) -> Any:
     """Message on the command topic ``key``, from CDR. Raises GearboxError if ``data`` is not one."""
-    kind = TOPICS[key].type
+    topic = TOPICS[key]
     try:
-        return deserialize(kind, data)
+        return deserialize(topic.type, data)
     except GearboxError as error:
-        raise GearboxError(f"{TOPICS[key].name}: the message is not a valid {kind}: {error}") from error
+        raise GearboxError(f"{topic.name}: message refused: {error}") from error
 
 
 def command_names(node: Node) -> list[str]:
