@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import inspect
 import queue
 import threading
@@ -39,9 +38,13 @@ class AnswerSender:
     Whoever calls again after each answer is answered at once; only calls that came together wait.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, log: Any) -> None:
+        """``log`` is the logger of the node."""
+        self._log = log
         self._waiting: queue.SimpleQueue[tuple[int, Callable[[], None]] | None] = queue.SimpleQueue()
-        self._sent_ns = 0
+        self._sent_ns = 0  # by the clock of the system, as the time at which a request came
+        self._sent = 0.0  # by a clock that nobody sets
+        self._closing = False
         self._thread = threading.Thread(target=self._work, name="answers", daemon=True)
         self._thread.start()
 
@@ -50,7 +53,8 @@ class AnswerSender:
         self._waiting.put((header.received_timestamp, send))
 
     def close(self) -> None:
-        """Send what waits, and end."""
+        """Send what waits, without spacing, and end."""
+        self._closing = True
         self._waiting.put(None)
         self._thread.join()
 
@@ -58,11 +62,15 @@ class AnswerSender:
         name_thread()
         while waiting := self._waiting.get():
             received_ns, send = waiting
-            if received_ns < self._sent_ns:
-                time.sleep(max(0.0, SPACING - (time.time_ns() - self._sent_ns) * 1e-9))
-            self._sent_ns = time.time_ns()
-            with contextlib.suppress(InvalidHandle):  # the service has gone, and with it whoever waited
+            if received_ns < self._sent_ns and not self._closing:
+                time.sleep(max(0.0, SPACING - (time.monotonic() - self._sent)))
+            self._sent_ns, self._sent = time.time_ns(), time.monotonic()
+            try:
                 send()
+            except InvalidHandle:  # the service has gone, and with it whoever waited
+                continue
+            except Exception:  # whatever it was, the answers behind it are still to be sent
+                self._log.error(traceback.format_exc())
 
 
 class DeferredAnswers:
@@ -175,6 +183,33 @@ def _defer_parameter_answers(
 
             answers.defer(response, work, complete)
         return response
+
+    service.callback = callback
+
+
+def guard_services(node: Node, sender: AnswerSender) -> None:
+    """Let the services of ``node`` that rclpy made, those of its life cycle too, answer as its own do.
+
+    Their answers are spaced like all others. A request that rclpy raises on, such as a transition that is not
+    possible in the present state, gets an empty answer, which says ``success: false`` where there is such a
+    field, and a warning. Unguarded, such an error would leave the spin and end the node.
+    """
+    for service in list(node.services):
+        if "send_response" not in vars(service):
+            _guard(node, sender, service)
+
+
+def _guard(node: Node, sender: AnswerSender, service: Service) -> None:
+    DeferredAnswers(service, sender)
+    answer, kind = service.callback, service.srv_type
+
+    def callback(request: Any, response: Any) -> Any:
+        try:
+            return answer(request, response)
+        except Exception as error:
+            log: Any = node.get_logger()
+            log.warning(f"{service.srv_name}: refused: {' '.join(str(error).split()) or repr(error)}")
+            return kind.Response()  # type: ignore[attr-defined]
 
     service.callback = callback
 
