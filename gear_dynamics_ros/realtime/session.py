@@ -167,7 +167,12 @@ class Session:
 
     def end_recording(self) -> Future[str]:
         """Stop recording; done when the recording is complete on the disk."""
-        ended = self.engine_thread.request(self.recordings.end)
+
+        def end() -> Recorder | None:
+            self._record_after_restart = False
+            return self.recordings.end()
+
+        ended = self.engine_thread.request(end)
         return then_start(ended, lambda recorder: self._disk.submit(self._close, recorder))
 
     def snapshot(self) -> Future[str]:

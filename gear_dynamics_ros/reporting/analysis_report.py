@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -65,6 +66,7 @@ def write_numbers(analysis: RecordingAnalysis, folder: Path) -> list[Path]:
     if content["energy"] is not None:
         written.append(folder / IMPACTS_FILE)
         content["impacts"] = _write_impacts(analysis.recording, written[-1])
+    _require_finite(content, analysis.recording.path)
     with output_file(written[0]) as stream:
         stream.write(f"{json.dumps(content, indent=2, allow_nan=False)}\n".encode())
     return written
@@ -90,6 +92,18 @@ def write_figures(
             figures.write_png(draw(), stream)
         progress(count, len(drawings))
     return written
+
+
+def _require_finite(summary: Mapping[str, Any], path: Path, prefix: str = "") -> None:
+    """Raise GearboxError, naming the entry, if a number in ``summary`` is not finite: no run records one."""
+    for name, value in summary.items():
+        if isinstance(value, Mapping):
+            _require_finite(value, path, f"{prefix}{name}.")
+        elif isinstance(value, float) and not math.isfinite(value):
+            raise GearboxError(
+                f"{path}: {prefix}{name} is {value}, because the recording has a value that is not finite: "
+                "replay verify finds the sample"
+            )
 
 
 def _read_whole(recording: Recording, progress: Callable[[int], None]) -> WholeRun:

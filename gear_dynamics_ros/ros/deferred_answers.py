@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import inspect
 import queue
 import threading
@@ -19,7 +18,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.service import Service
 
-from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.errors import GearboxError, one_line
 from gear_dynamics_ros.system.threads import name_thread
 
 T = TypeVar("T")
@@ -39,9 +38,13 @@ class AnswerSender:
     A client that waits for each answer gets it at once; only answers to simultaneous calls are spaced.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, log: Any) -> None:
+        """``log`` is the logger of the node."""
+        self._log = log
         self._waiting: queue.SimpleQueue[tuple[int, Callable[[], None]] | None] = queue.SimpleQueue()
-        self._sent_ns = 0
+        self._sent_ns = 0  # system time, as the time stamps of requests
+        self._sent = 0.0  # monotonic time, s
+        self._closing = False
         self._thread = threading.Thread(target=self._work, name="answers", daemon=True)
         self._thread.start()
 
@@ -50,7 +53,8 @@ class AnswerSender:
         self._waiting.put((header.received_timestamp, send))
 
     def close(self) -> None:
-        """Send all queued answers, and end the thread."""
+        """Send all queued answers, without spacing, and end the thread."""
+        self._closing = True
         self._waiting.put(None)
         self._thread.join()
 
@@ -58,11 +62,15 @@ class AnswerSender:
         name_thread()
         while waiting := self._waiting.get():
             received_ns, send = waiting
-            if received_ns < self._sent_ns:
-                time.sleep(max(0.0, SPACING - (time.time_ns() - self._sent_ns) * 1e-9))
-            self._sent_ns = time.time_ns()
-            with contextlib.suppress(InvalidHandle):  # the service was destroyed
+            if received_ns < self._sent_ns and not self._closing:
+                time.sleep(max(0.0, SPACING - (time.monotonic() - self._sent)))
+            self._sent_ns, self._sent = time.time_ns(), time.monotonic()
+            try:
                 send()
+            except InvalidHandle:  # the service was destroyed
+                continue
+            except Exception:  # the other answers must be sent all the same
+                self._log.error(traceback.format_exc())
 
 
 class DeferredAnswers:
@@ -175,6 +183,33 @@ def _defer_parameter_answers(
 
             answers.defer(response, work, complete)
         return response
+
+    service.callback = callback
+
+
+def guard_services(node: Node, sender: AnswerSender) -> None:
+    """Make the services of ``node`` that rclpy created, those of its life cycle too, answer as its own do.
+
+    Their answers are spaced like all others. If rclpy raises an error on a request, such as a transition that
+    is not possible in the present state, the answer is empty (``success: false``, if there is such a field)
+    and the log has a warning. Without this, the error would leave the spin and end the node.
+    """
+    for service in list(node.services):
+        if "send_response" not in vars(service):
+            _guard(node, sender, service)
+
+
+def _guard(node: Node, sender: AnswerSender, service: Service) -> None:
+    DeferredAnswers(service, sender)
+    answer, kind = service.callback, service.srv_type
+
+    def callback(request: Any, response: Any) -> Any:
+        try:
+            return answer(request, response)
+        except Exception as error:
+            log: Any = node.get_logger()
+            log.warning(f"{service.srv_name}: refused: {one_line(error) or repr(error)}")
+            return kind.Response()  # type: ignore[attr-defined]
 
     service.callback = callback
 

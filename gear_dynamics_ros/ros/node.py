@@ -27,7 +27,7 @@ from gear_dynamics_ros.realtime.mailbox import Mailbox
 from gear_dynamics_ros.realtime.session import Session
 from gear_dynamics_ros.ros import diagnostics, node_topics
 from gear_dynamics_ros.ros.command_receiver import CommandReceiver
-from gear_dynamics_ros.ros.deferred_answers import AnswerSender
+from gear_dynamics_ros.ros.deferred_answers import AnswerSender, guard_services
 from gear_dynamics_ros.ros.node_services import create_services
 from gear_dynamics_ros.ros.runtime_parameters import RuntimeParameters
 from gear_dynamics_ros.simulation import checkpoint
@@ -44,7 +44,7 @@ class GearboxNode(LifecycleNode):
         super().__init__("gearbox", automatically_declare_parameters_from_overrides=True)
         self._stop = stop
         self._log: Any = self.get_logger()  # type: ignore[no-untyped-call]
-        self._answers = AnswerSender()
+        self._answers = AnswerSender(self._log)
         self._runtime_parameters = RuntimeParameters(
             self, self._answers, self._apply, lambda: self._run_parameters
         )
@@ -64,6 +64,7 @@ class GearboxNode(LifecycleNode):
         self.recording_failed = False  # whether any recording of any session failed
         # Services exist longer than the session, so that a call in progress when it ends is answered.
         create_services(self, self._answers, self._active_session, self._restore_checkpoint)
+        guard_services(self, self._answers)
 
     @property
     def parameters(self) -> Parameters:

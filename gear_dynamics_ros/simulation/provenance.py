@@ -17,7 +17,14 @@ from gear_dynamics_ros.physics.kernel.sources import hash_of_files, kernel_hash
 
 PACKAGE = Path(gear_dynamics_ros.__file__).parent
 # Every source file that decides the bits: constants from parameters, the kernel, and its caller.
-MODEL_SOURCES = ("physics/**/*.py", "simulation/engine.py")
+MODEL_SOURCES = (
+    "channels.py",
+    "chunk.py",
+    "parameters/*.py",
+    "physics/**/*.py",
+    "simulation/engine.py",
+    "simulation/run.py",
+)
 
 
 class Provenance(NamedTuple):

@@ -280,6 +280,20 @@ def test_damaged_rows_are_told_in_one_line(
         told(capsys, "replay", topic)
 
 
+@pytest.mark.parametrize("topic", ["waveform", "energy"])
+def test_a_number_that_is_not_finite_is_told_by_analyze(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], topic: str
+) -> None:
+    def spoil(message: Any) -> None:
+        message.data[1] = math.nan
+
+    path = alter(bag, tmp_path / "spoilt", message=on_topic(topic, 1, spoil))
+    assert analyze_main([str(path), "--output", str(tmp_path / "out")]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith("analyze: error: ") and error.count("\n") == 1
+    assert "is nan, because the recording has a value that is not finite" in error
+
+
 @pytest.mark.parametrize("topic", ["load_torque_command", "joint_command"])
 def test_a_command_that_is_none_is_told_by_verify(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], topic: str

@@ -676,6 +676,20 @@ def test_a_recording_switched_off_stays_off_after_a_trip(
     assert not (tmp_path / "bag_2").exists()
 
 
+def test_a_recording_switched_off_after_a_trip_stays_off(
+    ros_domain: int, process: StartProcess, tmp_path: Path
+) -> None:
+    settings = ("operation.control:=torque", "operation.load_torque:=0.0", "pacing.real_time_factor:=0.5")
+    node = start_gearbox(process, f"recording.path:={tmp_path / 'bag'}", *settings)
+    with Client() as client:
+        node.wait_for("run ended: over-speed")
+        assert client.switch("record", False).success
+        assert client.put("operation.speed_limit", 1e5).successful
+        answer = client.trigger("reset")
+        assert answer.success and "recording" not in answer.message
+    assert not (tmp_path / "bag_2").exists()
+
+
 def test_the_clock_runs_at_its_own_rate_and_two_publishers_are_told_once(
     ros_domain: int, process: StartProcess, tmp_path: Path
 ) -> None:

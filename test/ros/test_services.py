@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import pytest
 import rclpy
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    ListParameters,
+    SetParameters,
+    SetParametersAtomically,
+)
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -21,10 +31,10 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.ros.deferred_answers import require_send_response
+from gear_dynamics_ros.ros.deferred_answers import AnswerSender, require_send_response
 from gear_dynamics_ros.ros.profile_client import require_take_message
 from support.gearbox import PATIENCE, start_gearbox
-from support.processes import Process, StartProcess
+from support.processes import Process, StartProcess, until
 
 
 class Caller:
@@ -149,10 +159,54 @@ def test_what_rclpy_cannot_set_is_answered_and_the_node_goes_on(gearbox: Process
     assert caller.call(SetBool, "pause", pause(True)).success
 
 
+@pytest.mark.parametrize("transition", [0, 1, 2, 3, 5, 6, 99, 255])
+def test_a_transition_that_is_not_possible_is_refused_and_the_run_goes_on(
+    gearbox: Process, caller: Caller, transition: int
+) -> None:
+    request = ChangeState.Request(transition=Transition(id=transition))
+    assert not caller.call(ChangeState, "change_state", request).success
+    gearbox.wait_for("change_state: refused: ")
+    assert caller.call(GetState, "get_state").current_state.label == "active"
+    assert caller.call(SetBool, "pause", pause(True)).message.startswith("paused")
+
+
+def test_a_burst_of_questions_about_parameters_is_answered(gearbox: Process, caller: Caller) -> None:
+    ask = {
+        "get_parameters": (GetParameters, GetParameters.Request(names=["oil.viscosity"])),
+        "list_parameters": (ListParameters, ListParameters.Request()),
+        "describe_parameters": (DescribeParameters, DescribeParameters.Request(names=["oil.viscosity"])),
+    }
+    for name, (kind, request) in ask.items():
+        client = caller.client(kind, name, depth=100)
+        caller.answers([client.call_async(request) for _ in range(60)])
+
+
+class Request(NamedTuple):
+    """Of a request all that the sender looks at."""
+
+    received_timestamp: int
+
+
+def test_an_answer_that_fails_or_a_clock_that_is_set_back_holds_up_no_other(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    errors: list[str] = []
+    log = SimpleNamespace(error=errors.append)
+    sender, sent = AnswerSender(log), threading.Event()
+    now = time.time_ns()
+    sender.put(Request(now), lambda: [][0])
+    until(lambda: errors, "the error in the log")
+    assert "IndexError" in errors[0]
+    monkeypatch.setattr(time, "time_ns", lambda: now - 3_600_000_000_000)
+    sender.put(Request(now - 3_600_000_000_000), sent.set)
+    assert sent.wait(60.0)
+    sender.close()
+
+
 def test_a_checkpoint_file_that_is_none_is_answered(gearbox: Process, caller: Caller, tmp_path: Path) -> None:
     (tmp_path / "state.json").write_text("[]")
     answer = caller.call(Trigger, "restore_checkpoint")
-    assert not answer.success and "no checkpoint" in answer.message
+    assert not answer.success and "is not a checkpoint" in answer.message
     (tmp_path / "state.json").unlink()
     (tmp_path / "state.json").mkdir()
     answer = caller.call(Trigger, "restore_checkpoint")

@@ -200,7 +200,7 @@ def test_simulate_refuses_what_does_not_fit(
     assert not (tmp_path / "bag").exists()
 
 
-def test_a_spoilt_state_in_a_sound_file_is_refused(
+def test_a_damaged_state_in_an_intact_file_is_refused(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     content = json.loads(file.read_text())

@@ -68,6 +68,8 @@ def edit(path: Path, before: str, after: str) -> None:
         ("physics/restitution.py", "brentq", "bisect", False, True),
         ("physics/kernel/film.py", "3.0 * ex * v", "3.1 * ex * v", True, True),
         (ENGINE, "IMPACTS_A_CALL = 256", "IMPACTS_A_CALL = 257", False, True),
+        ("parameters/groups.py", "NANOSECOND: Final", "NANOSECOND: Final", False, True),
+        ("simulation/run.py", '"load_torque": 0.0', '"load_torque": 0.1', False, True),
         ("palette.py", '"""', '"""', False, False),
     ],
 )
