@@ -21,10 +21,8 @@ from gear_dynamics_ros.parameters import (
     specifications,
 )
 from gear_dynamics_ros.parameters.rcl_yaml import resolve_scalar
+from gear_dynamics_ros.parameters.tree import ROS_OWN_PARAMETERS
 
-# Declared by rclpy: for every node, or for overrides of a quality of service.
-FOREIGN = ("use_sim_time", "start_type_description_service")
-FOREIGN_PREFIX = "qos_overrides."
 LARGEST_INTEGER = 2**63 - 1
 
 
@@ -37,7 +35,7 @@ def declare(node: Node) -> Parameters:
     given = {
         name: _plain(parameter.value)
         for name, parameter in overrides.items()
-        if name not in FOREIGN and not name.startswith(FOREIGN_PREFIX)
+        if not ROS_OWN_PARAMETERS.fullmatch(name)
     }
     parameters = Parameters.from_flat(given)
     for name in given:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from fractions import Fraction
 from typing import Any
 
 from gear_dynamics_ros.chunk import Chunk, Commands, Status
@@ -24,6 +23,7 @@ from gear_dynamics_ros.events import (
 )
 from gear_dynamics_ros.messages.encoder import Encoder, Record
 from gear_dynamics_ros.parameters import OperationParameters, ParameterChange
+from gear_dynamics_ros.parameters.decimals import exact_decimal
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run_state import Ending, RunState
@@ -250,4 +250,4 @@ def _sample_count(duration: float, interval_ns: int) -> int | None:
     if duration == 0.0:
         return None
     # The number of samples follows from the decimal that the user typed, not from its rounded binary value.
-    return math.ceil(Fraction(repr(duration)) * 10**9 / interval_ns)
+    return math.ceil(exact_decimal(duration) * 10**9 / interval_ns)

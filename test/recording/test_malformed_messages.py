@@ -31,27 +31,15 @@ from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.topics import COMMAND_TOPICS, FLOAT64, TOPICS, is_rows
 from support.altering import Change, alter, on_topic
+from support.sinks import Keeper
 
 Act = Callable[[Any], object]
 
 
-class _Kept:
-    """A sink that keeps one message of each topic."""
-
-    def __init__(self) -> None:
-        self.records: dict[str, Record] = {}
-
-    def write(self, _: object, records: list[Record]) -> None:
-        self.records |= {record.topic: record for record in records}
-
-    def close(self) -> None:
-        """Nothing to finish."""
-
-
-def perform(path: Path) -> _Kept:
+def perform(path: Path) -> dict[str, Record]:
     """Recording of six chunks with commands, a change and a restore; returns a message of each topic."""
     parameters = Parameters.from_flat({"solver.chunk": 3e-4, "clock_rate": 1000.0})
-    engine, encoder, kept = Engine(parameters), Encoder(parameters, 0), _Kept()
+    engine, encoder, kept = Engine(parameters), Encoder(parameters, 0), Keeper()
     run = Run(engine, encoder, [RecorderSink(Recorder(path, engine.checkpoint(), 0), engine), kept])
     start = run.checkpoint()
     load = [("load_torque_command", serialize(FLOAT64, message_class(FLOAT64)(data=55.0)))]
@@ -63,11 +51,11 @@ def perform(path: Path) -> _Kept:
     run.step(Commands(31.0, 25.0, 1500.0), joint)
     run.resume(start)
     run.step()
-    while "impacts" not in kept.records:
+    while not any(record.topic == "impacts" for record in kept.records):
         run.step()
     run.finish("done")
     run.close()
-    return kept
+    return {record.topic: record for record in kept.records}
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +67,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def samples(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Record]:
-    return perform(tmp_path_factory.mktemp("samples") / "bag").records
+    return perform(tmp_path_factory.mktemp("samples") / "bag")
 
 
 def decode(topic: str, data: bytes) -> None:
