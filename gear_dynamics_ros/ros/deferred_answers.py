@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import heapq
 import inspect
-import queue
+import itertools
 import threading
 import time
 import traceback
@@ -25,52 +26,77 @@ T = TypeVar("T")
 # Calls and answers that may wait at once, as for the parameter services of rclpy. With its default of 10,
 # calls that arrive faster than they are served are dropped, and their clients wait for ever.
 SERVICE_QUALITY = QoSProfile(depth=1000)
-# s between the answers to simultaneous calls. A client queues 10 answers by default, and receives the answers
-# to all clients of the service: those that arrive faster than it takes them are lost.
-SPACING = 0.005
+# s between the answers of one service to simultaneous calls. A client queues 10 answers by default, and
+# receives the answers to all clients of the service: one that stops for ten times as long loses some.
+SPACING = 0.025
 SEND_RESPONSE_PARAMETERS = ["self", "response", "header"]
 NOT_DEFERRED = "internal error: rclpy sent this answer before the work was done; see the log for the result"
 
 
 class AnswerSender:
-    """Sends the answers of all services, one after another, on its own thread.
-
-    A client that waits for each answer gets it at once; only answers to simultaneous calls are spaced.
-    """
+    """Sends the answers of all services when they are due, on its own thread."""
 
     def __init__(self, log: Any) -> None:
         """``log`` is the logger of the node."""
         self._log = log
-        self._waiting: queue.SimpleQueue[tuple[int, Callable[[], None]] | None] = queue.SimpleQueue()
-        self._sent_ns = 0  # system time, as the time stamps of requests
-        self._sent = 0.0  # monotonic time, s
+        self._waiting: list[tuple[float, int, Callable[[], None]]] = []  # a heap, the first due first
+        self._order = itertools.count()
+        self._changed = threading.Condition()
         self._closing = False
         self._thread = threading.Thread(target=self._work, name="answers", daemon=True)
         self._thread.start()
 
-    def put(self, header: Any, send: Callable[[], None]) -> None:
-        """Queue ``send``, which sends the answer to the request with ``header``. For any thread."""
-        self._waiting.put((header.received_timestamp, send))
+    def put(self, due: float, send: Callable[[], None]) -> None:
+        """Call ``send``, which sends one answer, at the monotonic time ``due`` (s). For any thread."""
+        with self._changed:
+            heapq.heappush(self._waiting, (due, next(self._order), send))
+            self._changed.notify()
 
     def close(self) -> None:
-        """Send all queued answers, without spacing, and end the thread."""
-        self._closing = True
-        self._waiting.put(None)
+        """Send all waiting answers at once and end the thread."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify()
         self._thread.join()
 
     def _work(self) -> None:
         name_thread()
-        while waiting := self._waiting.get():
-            received_ns, send = waiting
-            if received_ns < self._sent_ns and not self._closing:
-                time.sleep(max(0.0, SPACING - (time.monotonic() - self._sent)))
-            self._sent_ns, self._sent = time.time_ns(), time.monotonic()
+        while send := self._next():
             try:
                 send()
             except InvalidHandle:  # the service was destroyed
                 continue
             except Exception:  # the other answers must be sent all the same
                 self._log.error(traceback.format_exc())
+
+    def _next(self) -> Callable[[], None] | None:
+        """Wait for the next answer to be due; None if the sender is closed and no answer waits."""
+        with self._changed:
+            while not self._closing:
+                wait = self._waiting[0][0] - time.monotonic() if self._waiting else None
+                if wait is not None and wait <= 0.0:
+                    break
+                self._changed.wait(wait)
+            return heapq.heappop(self._waiting)[2] if self._waiting else None
+
+
+class Spacing:
+    """When the answers of one service are due: at once, or ``SPACING`` after another to a simultaneous call.
+
+    A client that waits for each answer gets it at once.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._last = 0.0  # when the last answer is due, monotonic time, s
+
+    def due(self, received_ns: int) -> float:
+        """Monotonic time, s, at which to answer a request received at the system time ``received_ns``."""
+        with self._lock:
+            now = time.monotonic()
+            received = now - max(0, time.time_ns() - received_ns) * 1e-9
+            self._last = now if received > self._last else max(now, self._last + SPACING)
+            return self._last
 
 
 class DeferredAnswers:
@@ -84,6 +110,7 @@ class DeferredAnswers:
     def __init__(self, service: Service, sender: AnswerSender) -> None:
         require_send_response()
         self._sender = sender
+        self._spacing = Spacing()
         self._send = service.send_response
         self._deferred: dict[int, tuple[Future[Any], Callable[[], None]]] = {}
         service.send_response = self._send_when_done  # type: ignore[method-assign]
@@ -98,7 +125,7 @@ class DeferredAnswers:
     def _send_when_done(self, response: Any, header: Any) -> None:
         deferred = self._deferred.pop(id(response), None)
         if deferred is None:
-            self._sender.put(header, lambda: self._send(response, header))
+            self._put(header, lambda: self._send(response, header))
             return
         work, complete = deferred
 
@@ -106,7 +133,10 @@ class DeferredAnswers:
             complete()
             self._send(response, header)
 
-        work.add_done_callback(lambda _: self._sender.put(header, send))
+        work.add_done_callback(lambda _: self._put(header, send))
+
+    def _put(self, header: Any, send: Callable[[], None]) -> None:
+        self._sender.put(self._spacing.due(header.received_timestamp), send)
 
 
 def require_send_response() -> None:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 import rclpy
@@ -31,7 +31,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.ros.deferred_answers import AnswerSender, require_send_response
+from gear_dynamics_ros.ros.deferred_answers import SPACING, AnswerSender, Spacing, require_send_response
 from gear_dynamics_ros.ros.profile_client import require_take_message
 from support.gearbox import PATIENCE, start_gearbox
 from support.processes import Process, StartProcess, until
@@ -181,26 +181,37 @@ def test_a_burst_of_questions_about_parameters_is_answered(gearbox: Process, cal
         caller.answers([client.call_async(request) for _ in range(60)])
 
 
-class Request(NamedTuple):
-    """Of a request all that the sender looks at."""
-
-    received_timestamp: int
-
-
-def test_an_answer_that_fails_or_a_clock_that_is_set_back_holds_up_no_other(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_answer_that_fails_holds_up_no_other() -> None:
     errors: list[str] = []
     log = SimpleNamespace(error=errors.append)
     sender, sent = AnswerSender(log), threading.Event()
-    now = time.time_ns()
-    sender.put(Request(now), lambda: [][0])
+    sender.put(time.monotonic(), lambda: [][0])
     until(lambda: errors, "the error in the log")
     assert "IndexError" in errors[0]
-    monkeypatch.setattr(time, "time_ns", lambda: now - 3_600_000_000_000)
-    sender.put(Request(now - 3_600_000_000_000), sent.set)
-    assert sent.wait(60.0)
+    sender.put(time.monotonic() + 3600.0, sent.set)
+    first = threading.Event()
+    sender.put(time.monotonic(), first.set)
+    assert first.wait(60.0) and not sent.is_set()
     sender.close()
+    assert sent.is_set(), "what waits when the sender is closed is sent"
+
+
+def test_only_answers_of_one_service_to_simultaneous_calls_are_spaced(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = SimpleNamespace(monotonic=100.0, system=1_000.0)
+    monkeypatch.setattr(time, "monotonic", lambda: now.monotonic)
+    monkeypatch.setattr(time, "time_ns", lambda: round(now.system * 1e9))
+    pause, step = Spacing(), Spacing()
+    received = round(now.system * 1e9)
+    assert [pause.due(received) for _ in range(3)] == pytest.approx(
+        [100.0, 100.0 + SPACING, 100.0 + 2.0 * SPACING]
+    )
+    assert step.due(received) == 100.0
+    now.monotonic, now.system = 200.0, 1_100.0
+    assert pause.due(round(now.system * 1e9)) == 200.0
+    now.monotonic, now.system = 300.0, 50.0  # the system's clock was set back
+    assert pause.due(round(1_200.0 * 1e9)) == 300.0
 
 
 def test_a_checkpoint_file_that_is_none_is_answered(gearbox: Process, caller: Caller, tmp_path: Path) -> None:
