@@ -85,7 +85,7 @@ class Encoder:
         self._all_channels = self._columns in (list(range(len(CHANNELS))), list(range(len(COLUMN))))
         self._waveform = _RowPacker("sample", self._channels)
         self._energy = _RowPacker("sample", [energy.name for energy in ENERGIES])
-        self._clock_ns = round(1e9 / parameters.clock_rate) if parameters.clock_rate > 0.0 else 0
+        self._clock_ns = parameters.clock_period_ns
         self._impacts = _RowPacker("impact", [entry.name for entry in IMPACTS])
         self._pacing = _RowPacker("report", [entry.name for entry in PACE])
         self._joint_state = _StampedMessage(_joints_at_rest(self._joints), _JOINT_NUMBERS)

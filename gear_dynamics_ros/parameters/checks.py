@@ -206,6 +206,15 @@ def check_solver(solver: SolverParameters) -> None:
         )
 
 
+def check_clock(clock_rate: float, clock_period_ns: int, solver: SolverParameters) -> None:
+    """Check that there are enough chunks for the rate of /clock, which comes at most once a chunk."""
+    if 0 < clock_period_ns < solver.samples_per_chunk * solver.sample_interval_ns:
+        raise UsageError(
+            f"clock_rate = {value_text(clock_rate)} Hz is more than one /clock a chunk of solver.chunk = "
+            f"{value_text(solver.chunk)} s: reduce it to {1.0 / solver.chunk:.9g} Hz, or shorten the chunk"
+        )
+
+
 def check_waveform_channels(channels: Sequence[str]) -> None:
     """Check that time comes first and no channel twice."""
     if channels[0] != "time":

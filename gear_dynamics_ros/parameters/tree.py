@@ -17,6 +17,7 @@ from gear_dynamics_ros.channels import CHANNEL_NAMES, COLUMN
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters.checks import (
     check_bearings,
+    check_clock,
     check_mesh,
     check_operation,
     check_recording,
@@ -102,7 +103,11 @@ class Parameters:
         length=(1, len(COLUMN)),
     )
     clock_rate: float = parameter(
-        0.0, "rate of /clock in simulated time; 0: no /clock", unit="Hz", minimum=0.0, maximum=1e4
+        0.0,
+        "rate of /clock in simulated time, at most one a chunk; 0: no /clock",
+        unit="Hz",
+        minimum=0.0,
+        maximum=1e4,
     )
 
     def __post_init__(self) -> None:
@@ -113,9 +118,15 @@ class Parameters:
         check_surface(self.surface, self.gears)
         check_operation(self.operation, self.mesh_phase)
         check_solver(self.solver)
+        check_clock(self.clock_rate, self.clock_period_ns, self.solver)
         check_waveform_channels(self.waveform_channels)
         check_recording(self.recording)
         check_rerun(self.rerun)
+
+    @property
+    def clock_period_ns(self) -> int:
+        """Simulated time between two messages on /clock, ns; 0 if there are none."""
+        return round(1e9 / self.clock_rate) if self.clock_rate > 0.0 else 0
 
     @classmethod
     def from_flat(cls, values: Mapping[str, object]) -> Parameters:

@@ -139,10 +139,11 @@ def surface_waves(parameters: Parameters, speed: float) -> SurfaceWaves:
     return SurfaceWaves(waves * abs(speed) / (2.0 * math.pi), 0.5 / parameters.solver.sample_interval)
 
 
-def diagnostic_statuses(
-    name: str, node: str, health: Health, waves: SurfaceWaves, checks: Sequence[Check]
-) -> list[Any]:
-    """One DiagnosticStatus for each task; ``name`` begins each name, ``node`` is the hardware_id."""
+def diagnostic_statuses(node: str, health: Health, waves: SurfaceWaves, checks: Sequence[Check]) -> list[Any]:
+    """One DiagnosticStatus for each task of the node with the full name ``node``.
+
+    Each name begins with it, without the first slash, so that no two gearboxes share a name.
+    """
     tasks = {
         "run": _run(health.run),
         "pacing": _pacing(health),
@@ -157,7 +158,7 @@ def diagnostic_statuses(
     return [
         DiagnosticStatus(
             level=level,
-            name=f"{name}: {task}",
+            name=f"{node.removeprefix('/')}: {task}",
             message=message,
             hardware_id=node,
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],

@@ -248,7 +248,6 @@ class GearboxNode(LifecycleNode):
         speed = session.engine_thread.run.engine.commands.speed
         several = self._commands.topics_with_several_publishers()
         statuses = diagnostics.diagnostic_statuses(
-            self.get_name(),
             self.get_fully_qualified_name(),
             diagnostics.collect_health(session, pace, self._viewer, several),
             diagnostics.surface_waves(self.parameters, speed),

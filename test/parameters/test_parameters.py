@@ -205,6 +205,11 @@ def test_an_unknown_name_gets_a_hint(name: str, hint: str) -> None:
     assert name in message and hint in message
 
 
+@pytest.mark.parametrize("chunk", [2e-3, 3e-4, 1.7e-4])
+def test_the_clock_may_come_with_every_chunk(chunk: float) -> None:
+    Parameters.from_flat({"solver.chunk": chunk, "clock_rate": 1.0 / chunk})
+
+
 def test_names_of_every_ros_node_are_passed_over() -> None:
     ours = {"use_sim_time": True, "start_type_description_service": True, "qos_overrides./clock.depth": 3}
     assert Parameters.from_flat(ours) == Parameters()
@@ -243,6 +248,8 @@ def test_names_of_every_ros_node_are_passed_over() -> None:
             {"solver.chunk": 10.0, "solver.sample_interval": 1e-6},
             ["solver.chunk", "10000000 samples", "1000000"],
         ),
+        ({"clock_rate": 501.0}, ["clock_rate = 501.0 Hz", "solver.chunk = 0.002 s", "to 500 Hz"]),
+        ({"clock_rate": 1e4, "solver.chunk": 3e-4}, ["clock_rate", "to 3333.33333 Hz"]),
         ({"waveform_channels": ["dte", "time"]}, ["waveform_channels", "time"]),
         ({"waveform_channels": ["time", "dte", "dte"]}, ["waveform_channels", "'dte' 2 times"]),
         ({"rerun.mode": "save"}, ["rerun.path", "save"]),
@@ -416,7 +423,15 @@ def test_what_is_written_is_read_back_to_the_bit_here_and_in_ros(
 @st.composite
 def parameters(draw: st.DrawFn) -> Parameters:
     """Parameters whose free numbers are any within their bounds."""
-    tied = ("solver.", "surface.scale", "surface.waves", "mesh.stiffness_", "operation.speed", "bearings.")
+    tied = (
+        "bearings.",
+        "clock_rate",
+        "mesh.stiffness_",
+        "operation.speed",
+        "solver.",
+        "surface.scale",
+        "surface.waves",
+    )
     values: dict[str, Any] = {}
     for row in numbers():
         if row.element is int or row.name.startswith(tied):

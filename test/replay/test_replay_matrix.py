@@ -74,7 +74,7 @@ def test_a_recording_of_the_node_verifies(ros_domain, process, tmp_path: Path, p
         f"checkpoint.path:={tmp_path / 'state.json'}",
         "recording.checkpoint_interval:=0.1",
         "recording.split_duration:=1.0",
-        "clock_rate:=1000.0",  # at every edge of a chunk, states or not
+        "clock_rate:=500.0",  # at every edge of a chunk, states or not
         "stepping.chunks:=3",
         "operation.load_viscous:=0.02",  # torques that don't balance must not run away
         *PACES[pace],

@@ -98,3 +98,17 @@ def test_a_lack_of_commands_is_told_until_one_comes(ros_domain: int, process: St
         status, values = client.status("commands")
         assert (status.level, status.message) == (DiagnosticStatus.OK, "all good")
         assert values["load_torque (N m)"] == "12"
+
+
+def test_two_gearboxes_are_told_apart(ros_domain: int, process: StartProcess) -> None:
+    rigs = ("/rig1", "/rig2")
+    for rig in rigs:
+        start_gearbox(process, "pacing.real_time_factor:=0.1", remap=[f"__ns:={rig}"])
+    with Client("/rig1/gearbox", hears=["diagnostics"]) as client:
+        heard = client.heard["diagnostics"]
+        client.until(
+            lambda: {message.status[0].hardware_id for message in heard} >= {f"{rig}/gearbox" for rig in rigs}
+        )
+        tasks = {status.name: status.hardware_id for message in heard for status in message.status}
+    assert {name.rpartition(": ")[0] for name in tasks} == {"rig1/gearbox", "rig2/gearbox"}
+    assert all(node == f"/{name.rpartition(': ')[0]}" for name, node in tasks.items())
