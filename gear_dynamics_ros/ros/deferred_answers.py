@@ -8,7 +8,7 @@ import itertools
 import threading
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
@@ -16,6 +16,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.service import Service
 
@@ -200,6 +201,7 @@ def _defer_parameter_answers(
 
     def callback(request: Any, response: Any) -> Any:
         try:
+            _require_known_types(request.parameters)
             set_parameters(request, response)
         except Exception as error:
             refuse(request, response, error)
@@ -215,6 +217,16 @@ def _defer_parameter_answers(
         return response
 
     service.callback = callback
+
+
+def _require_known_types(parameters: Sequence[Any]) -> None:
+    known = {kind.value for kind in Parameter.Type}
+    for parameter in parameters:
+        if parameter.value.type not in known:
+            raise GearboxError(
+                f"{parameter.name}: value.type = {parameter.value.type} is no type of a parameter: it must "
+                f"be {min(known)} to {max(known)}, as in rcl_interfaces/msg/ParameterType"
+            )
 
 
 def guard_services(node: Node, sender: AnswerSender) -> None:
