@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Final, NamedTuple
 
 
@@ -130,3 +132,17 @@ def full_topic_name(topic: Topic, node: str = "/gearbox") -> str:
     if topic.name.startswith("/"):
         return topic.name
     return f"{node.rpartition('/')[0]}/{topic.name}"
+
+
+class NodeNames(NamedTuple):
+    """Full names of a node and, where ROS remapped them, of its topics, by key in TOPICS."""
+
+    node: str = "/gearbox"
+    remapped: Mapping[str, str] = MappingProxyType({})
+
+    def topic(self, key: str) -> str:
+        """Full name of a topic (key in TOPICS)."""
+        return self.remapped.get(key) or full_topic_name(TOPICS[key], self.node)
+
+
+DEFAULT_NAMES: Final = NodeNames()

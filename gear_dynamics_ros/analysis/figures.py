@@ -116,10 +116,13 @@ def _styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
     return wrapper
 
 
+FIGURE_NAMES: Final = ("overview", "time_series", "spectrum", "phase_portrait", "orbits", "bearing_force")
+
+
 def recording_figures(
     envelope: Envelope, samples: Samples, parameters: Parameters, changes: Sequence[float]
 ) -> dict[str, Callable[[], Figure]]:
-    """What draws each figure of a run by its file name, without those whose channels are missing.
+    """What draws each of FIGURE_NAMES of a run, without those whose channels are missing.
 
     ``envelope`` is that of the whole run, ``samples`` are those of the window of the other figures,
     ``changes`` the times of commands and events in s.

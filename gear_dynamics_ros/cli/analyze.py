@@ -11,7 +11,7 @@ from gear_dynamics_ros import recording
 from gear_dynamics_ros.analysis.summary import WINDOW_LENGTH
 from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.reporting.analysis_report import analyze_recording, write_figures, write_numbers
+from gear_dynamics_ros.reporting.analysis_report import analyze_recording, write_analysis
 from gear_dynamics_ros.system.command import run_command
 
 
@@ -41,10 +41,8 @@ def _analyze(arguments: argparse.Namespace) -> int:
     bag = recording.open(arguments.bag)
     with Progress("reading", bag.end_sample - bag.first_sample) as progress:
         analysis = analyze_recording(bag, arguments.start, arguments.end, progress)
-    output.mkdir(parents=True, exist_ok=True)
-    written = write_numbers(analysis, output)
     with Progress("drawing", 100) as progress:
-        written += write_figures(analysis, output, lambda drawn, total: progress(100 * drawn // total))
+        written = write_analysis(analysis, output, lambda drawn, total: progress(100 * drawn // total))
     for path in written:
         print(path)
     return 0

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from importlib import import_module
 
-from gear_dynamics_ros.system.command import INTERRUPTED
+from gear_dynamics_ros.system.command import SIGNALLED
 
 
 def gearbox() -> int:
@@ -37,5 +38,5 @@ def _run_main(name: str) -> int:
     try:
         return int(getattr(import_module(f"gear_dynamics_ros.cli.{name}"), f"{name}_main")())
     except KeyboardInterrupt:
-        print(f"{name}: interrupted", file=sys.stderr)
-        return INTERRUPTED
+        print(f"{name}: interrupted by SIGINT", file=sys.stderr)
+        return SIGNALLED + signal.SIGINT

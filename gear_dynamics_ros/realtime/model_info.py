@@ -9,11 +9,11 @@ from gear_dynamics_ros.channels import CHANNELS, ENERGIES, IMPACTS, PACE, Channe
 from gear_dynamics_ros.messages.encoder import bearing_frame
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.simulation.provenance import current_provenance
-from gear_dynamics_ros.topics import TOPICS, full_topic_name
+from gear_dynamics_ros.topics import TOPICS, NodeNames
 
 
-def describe_model(parameters: Parameters, epoch_ns: int, node: str) -> str:
-    """JSON text about the model; ``epoch_ns`` is the ROS time of simulated time 0, ``node`` the full name."""
+def describe_model(parameters: Parameters, epoch_ns: int, names: NodeNames) -> str:
+    """JSON text about the model; ``epoch_ns`` is the ROS time of simulated time 0."""
     prefix, provenance = parameters.joint_prefix, current_provenance()
     named = {entry.name: entry for entry in (*CHANNELS, *ENERGIES)}
     solver = parameters.solver
@@ -33,8 +33,8 @@ def describe_model(parameters: Parameters, epoch_ns: int, node: str) -> str:
             "impacts": _columns(IMPACTS),
             "pacing": _columns(PACE),
             "topics": {
-                full_topic_name(topic, node): {"type": topic.type, "content": topic.content}
-                for topic in TOPICS.values()
+                names.topic(key): {"declared": topic.name, "type": topic.type, "content": topic.content}
+                for key, topic in TOPICS.items()
             },
             "parameters": parameters.to_flat(),
         }

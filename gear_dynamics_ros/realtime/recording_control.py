@@ -13,6 +13,7 @@ from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.recording.ring import Excerpt, Ring
 from gear_dynamics_ros.simulation.run import Run
+from gear_dynamics_ros.topics import NodeNames
 
 T = TypeVar("T")
 
@@ -25,12 +26,12 @@ class RecordingControl:
     any other thread.
     """
 
-    def __init__(self, run: Run, epoch_ns: int, node: str) -> None:
+    def __init__(self, run: Run, epoch_ns: int, names: NodeNames) -> None:
         wanted = run.engine.parameters.recording
         self._path = Path(wanted.path).absolute() if wanted.path else None
         self._run = run
         self._epoch_ns = epoch_ns
-        self._node = node
+        self._names = names
         self._sink: RecorderSink | None = None
         self._ring: Ring | None = None
         self._errors: dict[str, None] = {}  # an ordered set; several threads add to it
@@ -129,7 +130,7 @@ class RecordingControl:
         """
         try:
             path = _make_beside(
-                self._require_path(), lambda path: excerpt.write(path, self._epoch_ns, self._node)
+                self._require_path(), lambda path: excerpt.write(path, self._epoch_ns, self._names)
             )
         except GearboxError as error:
             self._note(str(error))
@@ -138,7 +139,7 @@ class RecordingControl:
         return path
 
     def _recorder(self, path: Path) -> Recorder:
-        return Recorder(path, self._run.checkpoint(), self._epoch_ns, self._node, report=self._note)
+        return Recorder(path, self._run.checkpoint(), self._epoch_ns, self._names, report=self._note)
 
     def _drop_stopped(self) -> None:
         if self._sink is not None and self._sink.recorder.error is not None:

@@ -27,6 +27,7 @@ from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.simulation.run_state import RunState
 from gear_dynamics_ros.simulation.sinks import Sink
 from gear_dynamics_ros.system.futures import then, then_start
+from gear_dynamics_ros.topics import NodeNames
 
 
 class Session:
@@ -41,18 +42,18 @@ class Session:
         engine: Engine,
         mailbox: Mailbox,
         sinks: Sequence[Sink],
-        node: str,
+        names: NodeNames,
         on_end: Callable[[Session], None],
     ) -> None:
-        """``node`` is the full name; ``on_end`` is called on the engine's thread when the run has ended."""
+        """``names`` are the node's; ``on_end`` is called on the engine's thread when the run has ended."""
         parameters = engine.parameters
         self.epoch_ns = time.time_ns()
         self.condition = ConditionSink()
-        self._node = node
+        self._names = names
         self._on_end = on_end
         self._encoder = Encoder(parameters, self.epoch_ns)
         self._run = Run(engine, self._encoder, [*sinks, self.condition], duration=parameters.pacing.duration)
-        self.recordings = RecordingControl(self._run, self.epoch_ns, node)
+        self.recordings = RecordingControl(self._run, self.epoch_ns, names)
         self.engine_thread = EngineThread(self._run, mailbox, self._run_ended)
         self._started = False
         self._record_after_restart = False  # whether a fault, not the operator, ended the recording
@@ -243,7 +244,7 @@ class Session:
 
     def _write_model_info(self) -> None:
         """Publish and record the description of the model, after a change."""
-        text = describe_model(self.parameters, self.epoch_ns, self._node)
+        text = describe_model(self.parameters, self.epoch_ns, self._names)
         self._run.write_records([self._encoder.model_info(self.now_ns, text)])
 
     def _run_ended(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
@@ -14,7 +15,7 @@ from mcap.records import Channel, Schema
 from gear_dynamics_ros.messages.cdr import TYPESTORE
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.simulation.provenance import Provenance
-from gear_dynamics_ros.topics import TOPICS, Topic, full_topic_name
+from gear_dynamics_ros.topics import TOPICS, NodeNames, Topic
 
 METADATA_FILE: Final = "metadata.yaml"
 PARAMETERS_ATTACHMENT: Final = "parameters.yaml"
@@ -53,13 +54,18 @@ class RunMetadata(NamedTuple):
 
     provenance: Provenance
     epoch_ns: int  # stamp of simulated time 0
-    node: str  # full name
+    names: NodeNames
     sample_interval_ns: int
 
     def to_text(self) -> dict[str, str]:
         """All values as text, as MCAP stores them, those of the provenance first."""
-        own = self._asdict()
-        values = own.pop("provenance")._asdict() | own
+        values = {
+            **self.provenance._asdict(),
+            "epoch_ns": self.epoch_ns,
+            "node": self.names.node,
+            "remapped": json.dumps(dict(self.names.remapped)),
+            "sample_interval_ns": self.sample_interval_ns,
+        }
         return {name: str(value) for name, value in values.items()}
 
     def to_lines(self) -> bytes:
@@ -81,15 +87,22 @@ class RunMetadata(NamedTuple):
                 },
             ),
             epoch_ns=int(values["epoch_ns"]),
-            node=values["node"],
+            names=NodeNames(values["node"], _remapped(values.get("remapped", "{}"))),
             sample_interval_ns=int(values["sample_interval_ns"]),
         )
 
 
-def recorded_topics(parameters: Parameters, node: str) -> dict[str, tuple[str, Topic]]:
+def _remapped(text: str) -> dict[str, str]:
+    names = json.loads(text)
+    if not isinstance(names, dict) or not all(isinstance(name, str) for name in names.values()):
+        raise ValueError("remapped must be the full names of topics")
+    return names
+
+
+def recorded_topics(parameters: Parameters, names: NodeNames) -> dict[str, tuple[str, Topic]]:
     """The topics to record, with their full names, by key in TOPICS."""
     keys = {*parameters.recording.topics, *ALWAYS_RECORDED}
-    return {key: (full_topic_name(topic, node), topic) for key, topic in TOPICS.items() if key in keys}
+    return {key: (names.topic(key), topic) for key, topic in TOPICS.items() if key in keys}
 
 
 def part_name(folder: Path, number: int) -> str:

@@ -21,7 +21,7 @@ from gear_dynamics_ros.parameters import Parameters, parse_parameters
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.parts import PartFile, StoredMessage, open_parts
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint
-from gear_dynamics_ros.topics import TOPICS, full_topic_name
+from gear_dynamics_ros.topics import TOPICS
 
 BLOCK_SAMPLES: Final = 20_000
 IMPACT: Final = np.dtype([(entry.name, "<f8") for entry in IMPACTS])  # one bearing contact
@@ -49,7 +49,7 @@ class Recording:
         self.parameters = parameters
         self.run = parts[0].run
         # Full names by key in TOPICS.
-        self.topic_names = {key: full_topic_name(topic, self.run.node) for key, topic in TOPICS.items()}
+        self.topic_names = {key: self.run.names.topic(key) for key in TOPICS}
         # The waveform holds the samples from the first to before the second.
         self.first_sample, self.end_sample = self._find_samples()
 
@@ -61,7 +61,7 @@ class Recording:
     @property
     def node(self) -> str:
         """Full name of the node."""
-        return self.run.node
+        return self.run.names.node
 
     @property
     def version(self) -> str:
@@ -111,6 +111,14 @@ class Recording:
         """The topics recorded, as keys in TOPICS."""
         names = {topic.name for topic in self.topics}
         return frozenset(key for key, name in self.topic_names.items() if name in names)
+
+    def require_topic(self, key: str) -> None:
+        """Raise UsageError if the topic (key in TOPICS) was not recorded; it may have no messages."""
+        if key not in self.recorded:
+            raise UsageError(
+                f"{self.path} has no {key}, which was not among recording.topics: "
+                "replay info lists the topics recorded"
+            )
 
     @property
     def channel_names(self) -> tuple[str, ...]:

@@ -27,7 +27,7 @@ from gear_dynamics_ros.simulation.checkpoint import Checkpoint, StoredCheckpoint
 from gear_dynamics_ros.simulation.provenance import current_provenance
 from gear_dynamics_ros.system.files import replace_text, sync_folder
 from gear_dynamics_ros.system.threads import name_thread
-from gear_dynamics_ros.topics import TOPICS, Topic
+from gear_dynamics_ros.topics import DEFAULT_NAMES, TOPICS, NodeNames, Topic
 
 # Three seconds of all channels at 100 kHz: a disk rarely pauses longer.
 QUEUE_BYTES: Final = 64 << 20
@@ -72,7 +72,7 @@ class _StoppedError(Exception):
 class Recorder:
     """Records one run from the checkpoint ``start`` on into the new folder ``path``.
 
-    ``epoch_ns`` is the stamp of simulated time 0, ``node`` the full name. ``report`` is called once, on the
+    ``epoch_ns`` is the stamp of simulated time 0, ``names`` are the node's. ``report`` is called once, on the
     thread of the recorder, with the error that stops it. Raises UsageError if ``path`` exists or can't be
     created, GearboxError if the first file can't be created or less than ``recording.minimum_free`` is free.
     """
@@ -82,7 +82,7 @@ class Recorder:
         path: Path,
         start: Checkpoint,
         epoch_ns: int,
-        node: str = "/gearbox",
+        names: NodeNames = DEFAULT_NAMES,
         report: Callable[[str], None] = lambda error: None,
     ) -> None:
         self._report = report
@@ -90,10 +90,10 @@ class Recorder:
         self._run = RunMetadata(
             provenance=current_provenance(),
             epoch_ns=epoch_ns,
-            node=node,
+            names=names,
             sample_interval_ns=start.parameters.solver.sample_interval_ns,
         )
-        self._topics = layout.recorded_topics(start.parameters, node)
+        self._topics = layout.recorded_topics(start.parameters, names)
         self._sequences: Counter[str] = Counter()
         self._latched: dict[str, bytes] = {}
         self._error: str | None = None

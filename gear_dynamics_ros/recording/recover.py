@@ -30,7 +30,7 @@ from gear_dynamics_ros.recording.mcap.writer import McapWriter
 from gear_dynamics_ros.recording.parts import part_files, reading
 from gear_dynamics_ros.simulation.checkpoint import StoredCheckpoint
 from gear_dynamics_ros.system.files import new_folder, replace_text, require_new
-from gear_dynamics_ros.topics import TOPICS, Topic, full_topic_name
+from gear_dynamics_ros.topics import DEFAULT_NAMES, TOPICS, NodeNames, Topic
 
 _LIBRARY: Final = f"{layout.RUN_METADATA} {__version__}"
 
@@ -197,11 +197,11 @@ class _SampleTracker:
 
     def __init__(self, run: RunMetadata | None) -> None:
         self.run = run
-        self.node = "/gearbox" if run is None else run.node
+        self.names = DEFAULT_NAMES if run is None else run.names
         self.gaps: list[SampleRange] = []
         self.samples = 0  # of the present part
         self.span: SampleRange | None = None  # of the present part
-        self._topic = full_topic_name(TOPICS["waveform"], self.node)
+        self._topic = self.names.topic("waveform")
         self._expected: int | None = None
 
     def begin_part(self, first_sample: int | None) -> None:
@@ -410,11 +410,11 @@ def _rebuild(
     """Write one new file. Raises OSError if that fails."""
     tracker.begin_part(source.first_sample)
     with reading(source.path) as stream, closing(McapWriter(path, _LIBRARY)) as writer:
-        _define(writer, definitions, tracker.node)
+        _define(writer, definitions, tracker.names)
         damaged = _copy_records(source, stream, writer, definitions.channels, tracker, progress)
         index = writer.index
         part = PartSummary(path.name, index.start_ns, index.end_ns, index.topic_counts())
-        topics = _topics(index.schemas, index.channels, tracker.node)
+        topics = _topics(index.schemas, index.channels, tracker.names)
         writer.add_metadata(layout.ROSBAG2_METADATA, layout.embedded_metadata(topics, part))
         writer.finish()
     return _Rebuilt(part, topics, _recovered_part(source, part, tracker, damaged))
@@ -468,12 +468,10 @@ def _data(stream: BinaryIO, end: int) -> Iterator[FoundRecord]:
     return itertools.takewhile(lambda record: record.opcode != Opcode.DATA_END, walk(stream, end))
 
 
-def _define(writer: McapWriter, definitions: Definitions, node: str) -> None:
+def _define(writer: McapWriter, definitions: Definitions, names: NodeNames) -> None:
     """Write schemas and channels; if there are none, those of all topics."""
     if not definitions.channels:
-        definitions = layout.channel_definitions(
-            (full_topic_name(topic, node), topic) for topic in TOPICS.values()
-        )
+        definitions = layout.channel_definitions((names.topic(key), topic) for key, topic in TOPICS.items())
     writer.add_definitions(*definitions)
 
 
@@ -497,9 +495,11 @@ def _copy_metadata(writer: McapWriter, content: Metadata) -> None:
         writer.add_metadata(content.name, content.metadata)
 
 
-def _topics(schemas: Mapping[int, Schema], channels: Mapping[int, Channel], node: str) -> dict[str, Topic]:
+def _topics(
+    schemas: Mapping[int, Schema], channels: Mapping[int, Channel], names: NodeNames
+) -> dict[str, Topic]:
     """Topics by full name, with the quality of service of this version or, if unknown to it, the default."""
-    known = {full_topic_name(topic, node): topic for topic in TOPICS.values()}
+    known = {names.topic(key): topic for key, topic in TOPICS.items()}
     return {
         channel.topic: known.get(channel.topic, Topic(channel.topic, schemas[channel.schema_id].name, ""))
         for channel in channels.values()

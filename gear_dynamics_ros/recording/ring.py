@@ -15,7 +15,7 @@ from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
-from gear_dynamics_ros.topics import TOPICS
+from gear_dynamics_ros.topics import DEFAULT_NAMES, TOPICS, NodeNames
 
 # The ring drops whole segments: it holds at most an eighth more than it must.
 SEGMENTS: Final = 8
@@ -39,13 +39,13 @@ class Excerpt(NamedTuple):
     segments: tuple[_Segment, ...]
     end: Checkpoint
 
-    def write(self, path: Path, epoch_ns: int, node: str) -> Path:
+    def write(self, path: Path, epoch_ns: int, names: NodeNames) -> Path:
         """Make a recording of it in the new folder ``path``; returns its absolute path.
 
         Raises UsageError if ``path`` exists or can't be created, GearboxError if writing fails.
         """
         first = self.segments[0]
-        recorder = Recorder(path, first.start, epoch_ns, node)
+        recorder = Recorder(path, first.start, epoch_ns, names)
         time_ns = epoch_ns + first.start.sample * first.start.parameters.solver.sample_interval_ns
         recorder.write([Record(key, time_ns, data) for key, data in first.latched.items()])
         for segment in self.segments:
@@ -67,7 +67,7 @@ class Ring:
         self._engine = engine
         solver = engine.parameters.solver
         self._samples = round(engine.parameters.recording.ring_duration * 1e9 / solver.sample_interval_ns)
-        self._topics = layout.recorded_topics(engine.parameters, "").keys()
+        self._topics = layout.recorded_topics(engine.parameters, DEFAULT_NAMES).keys()
         self._latched: dict[str, bytes] = {}
         self._segments: deque[_Segment] = deque()
         self._begin_segment()

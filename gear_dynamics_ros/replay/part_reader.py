@@ -106,7 +106,7 @@ class PartReader:
     def missing_topics(self) -> list[str]:
         """Topics (keys in TOPICS) that the parameters record and that have no channel in the part."""
         names = {channel.topic for channel in self.part.index.channels.values()}
-        expected = layout.recorded_topics(self.part.start.checkpoint.parameters, self._recording.node)
+        expected = layout.recorded_topics(self.part.start.checkpoint.parameters, self._recording.run.names)
         return [key for key, (name, _) in expected.items() if name not in names]
 
     def inconsistent_parameters(self) -> list[str]:

@@ -15,7 +15,7 @@ from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.events import RESET, RESTORE
 from gear_dynamics_ros.recording import OperatorEvent, Recording
 from gear_dynamics_ros.reporting.windows import change_times, choose_window, whole_span
-from gear_dynamics_ros.system.files import output_file
+from gear_dynamics_ros.system.files import output_file, replace_files
 
 SUMMARY_FILE: Final = "summary.json"
 IMPACTS_FILE: Final = "impacts.csv"
@@ -43,9 +43,10 @@ def analyze_recording(
     """Read the whole recording once, and the window from ``start`` to before ``end`` (s) into memory.
 
     Without ``start`` and ``end``, the window is the latest steady one. ``progress`` is called with the number
-    of samples read. Raises UsageError if the window is invalid, GearboxError if the recording is empty or
-    damaged.
+    of samples read. Raises UsageError if the window is invalid or the waveform was not recorded, GearboxError
+    if the recording is empty or damaged.
     """
+    recording.require_topic("waveform")
     if recording.end_sample == recording.first_sample:
         raise GearboxError(f"{recording.path} holds no samples: nothing to analyse")
     changes = change_times(recording)
@@ -53,45 +54,42 @@ def analyze_recording(
     return RecordingAnalysis(recording, changes, _read_whole(recording, progress), window)
 
 
-def write_numbers(analysis: RecordingAnalysis, folder: Path) -> list[Path]:
-    """Write SUMMARY_FILE, and IMPACTS_FILE if energies were recorded, into ``folder``; returns their paths.
-
-    Each file appears whole or not at all. Raises GearboxError if one can't be written or the
-    recording is damaged.
-    """
-    written = [folder / SUMMARY_FILE]
-    content = _summary(analysis)
-    content["energy"], content["impacts"] = _energy_balance(analysis.recording), None
-    # A recording may have no impacts; energies show whether these were recorded.
-    if content["energy"] is not None:
-        written.append(folder / IMPACTS_FILE)
-        content["impacts"] = _write_impacts(analysis.recording, written[-1])
-    _require_finite(content, analysis.recording.path)
-    with output_file(written[0]) as stream:
-        stream.write(f"{json.dumps(content, indent=2, allow_nan=False)}\n".encode())
-    return written
-
-
-def write_figures(
+def write_analysis(
     analysis: RecordingAnalysis, folder: Path, progress: Callable[[int, int], None]
 ) -> list[Path]:
-    """Write the figures whose channels were recorded as PNG into ``folder``; returns their paths.
+    """Write SUMMARY_FILE, IMPACTS_FILE if impacts were recorded, and figures (PNG); returns their paths.
 
-    Each file appears whole or not at all. ``progress`` is called with the number of figures drawn and that of
-    all. Raises GearboxError if one can't be written.
+    Together they replace those of an earlier analysis in ``folder``; if anything fails, these stay.
+    ``progress`` is called with the number of figures drawn and that of all. Raises GearboxError if a file
+    can't be written or the recording is damaged.
     """
     from gear_dynamics_ros.analysis import figures
 
-    drawings = figures.recording_figures(
-        analysis.whole.envelope, analysis.window, analysis.recording.parameters, analysis.changes
-    )
-    written = []
-    for count, (name, draw) in enumerate(drawings.items(), start=1):
-        written.append(folder / f"{name}.png")
-        with output_file(written[-1]) as stream:
-            figures.write_png(draw(), stream)
-        progress(count, len(drawings))
-    return written
+    names = [SUMMARY_FILE, IMPACTS_FILE, *(_figure_file(name) for name in figures.FIGURE_NAMES)]
+    with replace_files(folder, names) as draft:
+        _write_numbers(analysis, draft)
+        drawings = figures.recording_figures(
+            analysis.whole.envelope, analysis.window, analysis.recording.parameters, analysis.changes
+        )
+        for count, (name, draw) in enumerate(drawings.items(), start=1):
+            with output_file(draft / _figure_file(name)) as stream:
+                figures.write_png(draw(), stream)
+            progress(count, len(drawings))
+    return [folder / name for name in names if (folder / name).exists()]
+
+
+def _figure_file(name: str) -> str:
+    return f"{name}.png"
+
+
+def _write_numbers(analysis: RecordingAnalysis, folder: Path) -> None:
+    content = _summary(analysis)
+    content["energy"], content["impacts"] = _energy_balance(analysis.recording), None
+    if "impacts" in analysis.recording.recorded:
+        content["impacts"] = _write_impacts(analysis.recording, folder / IMPACTS_FILE)
+    _require_finite(content, analysis.recording.path)
+    with output_file(folder / SUMMARY_FILE) as stream:
+        stream.write(f"{json.dumps(content, indent=2, allow_nan=False)}\n".encode())
 
 
 def _require_finite(summary: Mapping[str, Any], path: Path, prefix: str = "") -> None:

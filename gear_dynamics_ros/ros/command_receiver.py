@@ -11,6 +11,7 @@ from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages.decoder import requested_changes
 from gear_dynamics_ros.realtime.mailbox import Mailbox
 from gear_dynamics_ros.ros import node_topics
+from gear_dynamics_ros.topics import COMMAND_TOPICS
 
 WARNING_INTERVAL = 5.0  # s
 MOST_NAMES = 100  # of joints and topics in warnings
@@ -43,8 +44,9 @@ class CommandReceiver:
 
     def topics_with_several_publishers(self) -> list[str]:
         """Full names of the command topics that have several publishers."""
-        names = node_topics.command_names(self._node)
-        topics = [name for name in names if self._node.count_publishers(name) > 1]
+        names = node_topics.node_names(self._node)
+        commands = [names.topic(key) for key in COMMAND_TOPICS]
+        topics = [name for name in commands if self._node.count_publishers(name) > 1]
         for name in topics:
             self._warn_once(
                 name,

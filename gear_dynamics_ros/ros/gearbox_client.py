@@ -137,5 +137,5 @@ def not_seen(gearbox: str, wait: float) -> str:
     """Message for a gearbox that was not found within ``wait`` s."""
     return (
         f"no gearbox {gearbox} was seen for {wait:g} s: start it, name it with --node, compare "
-        "ROS_DOMAIN_ID, or give a longer --wait"
+        "ROS_DOMAIN_ID, give it the same --ros-args -r where topics are remapped, or give a longer --wait"
     )

@@ -168,8 +168,8 @@ class GearboxNode(LifecycleNode):
         sinks: list[Any] = [node_topics.PublisherSink(self._publishers_by_key)]
         if self._viewer is not None:
             sinks.append(ViewerSink(self._viewer))
-        node = self.get_fully_qualified_name()
-        session = Session(self._engine, self._mailbox, sinks, node, self._run_ended)
+        names = node_topics.node_names(self)
+        session = Session(self._engine, self._mailbox, sinks, names, self._run_ended)
         self._errors_logged = 0
         if session.recordings.wanted:
             done = session.begin_recording(beside=self._recorded_before)

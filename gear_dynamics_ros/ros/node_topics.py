@@ -18,7 +18,7 @@ from gear_dynamics_ros.chunk import Chunk
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages.cdr import deserialize
 from gear_dynamics_ros.messages.encoder import Record
-from gear_dynamics_ros.topics import COMMAND_TOPICS, TOPICS, Topic
+from gear_dynamics_ros.topics import COMMAND_TOPICS, TOPICS, NodeNames, Topic
 
 Publishers = Mapping[str, Publisher]
 
@@ -84,9 +84,11 @@ def read_command(key: str, data: bytes) -> Any:
         raise GearboxError(f"{topic.name}: message refused: {error}") from error
 
 
-def command_names(node: Node) -> list[str]:
-    """Full names of the command topics, after remapping."""
-    return [node.resolve_topic_name(TOPICS[key].name) for key in COMMAND_TOPICS]
+def node_names(node: Node) -> NodeNames:
+    """Full names of the node and its topics in the graph, after remapping."""
+    names = NodeNames(node.get_fully_qualified_name())
+    resolved = {key: node.resolve_topic_name(topic.name) for key, topic in TOPICS.items()}
+    return names._replace(remapped={key: name for key, name in resolved.items() if name != names.topic(key)})
 
 
 def quality(topic: Topic) -> QoSProfile:

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
 import sys
+import threading
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 
 from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.system.processes import Interruption, interruptible
 
 FAILURE = 1
 USAGE = 2
 SIGNALLED = 128  # added to the number of the signal, as shells do
-INTERRUPTED = SIGNALLED + signal.SIGINT
 
 
 def run_command(
@@ -22,11 +23,12 @@ def run_command(
     """Parse ``argv`` and run ``command``; returns its exit code.
 
     If it raises an error: USAGE for UsageError, FAILURE for GearboxError, OSError and a closed stdout,
-    INTERRUPTED for Ctrl-C.
+    SIGNALLED + n for signal n, which ``command`` may note itself; else it is interrupted and cleans up.
     """
     arguments = parser.parse_args(argv)
     try:
-        return command(arguments)
+        with interruptible() if _on_main_thread() else nullcontext():
+            return command(arguments)
     except UsageError as error:
         print(f"{parser.prog}: error: {error}", file=sys.stderr)
         return USAGE
@@ -37,6 +39,10 @@ def run_command(
     except (GearboxError, OSError) as error:
         print(f"{parser.prog}: error: {error}", file=sys.stderr)
         return FAILURE
-    except KeyboardInterrupt:
-        print(f"{parser.prog}: interrupted", file=sys.stderr)
-        return INTERRUPTED
+    except Interruption as interruption:
+        print(f"{parser.prog}: interrupted by {interruption}", file=sys.stderr)
+        return SIGNALLED + interruption.number
+
+
+def _on_main_thread() -> bool:
+    return threading.current_thread() is threading.main_thread()

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO, TypeVar
@@ -42,6 +42,32 @@ def output_file(path: Path) -> Iterator[BinaryIO]:
     """As ``replace_file``, but raises GearboxError with ``path`` instead of an OSError."""
     with _explained(path), replace_file(path) as stream:
         yield stream
+
+
+@contextmanager
+def replace_files(folder: Path, names: Iterable[str]) -> Iterator[Path]:
+    """Folder to fill with files, which replace those named ``names`` in ``folder`` when the block ends.
+
+    Of these, files that the block has not made are removed; all others in ``folder`` stay. If the block
+    raises, ``folder`` stays as it was. The block must flush its files to the disk. Raises GearboxError
+    instead of an OSError, also for one that the block raises.
+    """
+    draft = folder / f".new{DRAFT_SUFFIX}"
+    with _explained(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        if draft.exists():  # a killed process left it
+            shutil.rmtree(draft)
+        draft.mkdir()
+        try:
+            yield draft
+            for name in names:
+                if (draft / name).exists():
+                    (draft / name).replace(folder / name)
+                else:
+                    (folder / name).unlink(missing_ok=True)
+            sync_folder(folder)
+        finally:
+            shutil.rmtree(draft, ignore_errors=True)  # an error under way says more
 
 
 @contextmanager

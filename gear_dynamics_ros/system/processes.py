@@ -2,35 +2,82 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import socket
 import threading
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
+from typing import Final
 
 from gear_dynamics_ros.system.threads import name_thread
+
+# Signals that ask a program to end.
+END_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+# s in which further signals do not disturb the cleaning up after the first.
+UNDISTURBED: Final = 2.0
+
+
+class Interruption(KeyboardInterrupt):
+    """A signal asked this process to end."""
+
+    def __init__(self, number: int) -> None:
+        """``number`` is that of the signal."""
+        super().__init__(signal.Signals(number).name)
+        self.number = number
 
 
 @contextmanager
 def noted_signals() -> Iterator[list[int]]:
-    """List of the SIGINT and SIGTERM received in the block; they interrupt nothing, so check it regularly.
+    """List of the END_SIGNALS received in the block; they interrupt nothing, so check it regularly.
 
-    For the main thread.
+    SIGHUP stays ignored under nohup. For the main thread.
     """
     received: list[int] = []
 
     def note(number: int, frame: FrameType | None) -> None:
         received.append(number)
 
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
+    with _handled_by(note, [number for number in END_SIGNALS if not _is_ignored_hangup(number)]):
         yield received
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Raise Interruption in the block at the END_SIGNALS, so that it cleans up, and so for each again later.
+
+    Signals that have a handler already, or are ignored, are left alone. For the main thread.
+    """
+    last = -math.inf
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last > UNDISTURBED:
+            last = now
+            raise Interruption(number)
+
+    defaults = (signal.SIG_DFL, signal.default_int_handler)
+    with _handled_by(interrupt, [number for number in END_SIGNALS if signal.getsignal(number) in defaults]):
+        yield
+
+
+@contextmanager
+def _handled_by(handler: Callable[[int, FrameType | None], None], numbers: Sequence[int]) -> Iterator[None]:
+    before = {number: signal.signal(number, handler) for number in numbers}
+    try:
+        yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, earlier in before.items():
+            signal.signal(number, earlier)
+
+
+def _is_ignored_hangup(number: int) -> bool:
+    return number == signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN
 
 
 class Signals:
@@ -49,8 +96,8 @@ class Signals:
         self._receiver, self._sender = socket.socketpair()
         self._sender.setblocking(False)
         signal.set_wakeup_fd(self._sender.fileno(), warn_on_full_buffer=False)
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+        for number in END_SIGNALS:
+            if not _is_ignored_hangup(number):
                 signal.signal(number, _leave_it_to_the_socket)
         threading.Thread(target=self._work, name="signals", daemon=True).start()
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import json
 import math
+import os
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -12,18 +14,17 @@ import pytest
 from matplotlib.image import imread
 from numpy.typing import NDArray
 
-from gear_dynamics_ros.analysis import ledger, sections, spectra
+from gear_dynamics_ros.analysis import figures, ledger, sections, spectra
 from gear_dynamics_ros.analysis.statistics import Envelope, Quantities, Statistics, derived_quantities
 from gear_dynamics_ros.analysis.summary import TimeSpan, steady_window
 from gear_dynamics_ros.channels import CHANNEL_NAMES, COLUMN
 from gear_dynamics_ros.chunk import Commands, Samples
 from gear_dynamics_ros.cli.analyze import analyze_main
-from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics.constants import base_radii
-from gear_dynamics_ros.recording.recorder import Recorder
-from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.system.processes import Interruption
 from support.recordings import following, record
+from support.terminal import error_line
 
 INTERVAL = 1e-5
 FIGURES = ("overview", "time_series", "spectrum", "phase_portrait", "orbits", "bearing_force")
@@ -239,18 +240,48 @@ def test_analyze_balances_the_energy_and_lists_the_impacts(bag: Path, tmp_path: 
         assert impacts[gear]["max_peak_force"] == max(float(row["peak_force"]) for row in mine)
 
 
-def test_a_recording_without_the_ledger_has_none(tmp_path: Path) -> None:
-    parameters = Parameters()
-    engine, encoder = Engine(parameters), Encoder(parameters, 0)
-    recorder = Recorder(tmp_path / "bag", engine.checkpoint(), 0)
-    for _ in range(8):
-        records = encoder.chunk(engine.advance())
-        recorder.write([record for record in records if record.topic not in ("energy", "impacts")])
-    recorder.close()
-    assert analyze_main([str(tmp_path / "bag"), "--output", str(tmp_path / "out")]) == 0
-    found = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+def test_a_recording_without_the_ledger_has_none_and_no_other_analysis_remains_beside(
+    bag: Path, tmp_path: Path
+) -> None:
+    output = tmp_path / "out"
+    assert analyze_main([str(bag), "--output", str(output)]) == 0
+    (output / "notes.txt").write_text("mine")
+    few = Parameters.from_flat(
+        {"recording.topics": ["waveform"], "waveform_channels": ("time", "dte", "dte_rate", "mesh_force")}
+    )
+    loaded(tmp_path / "bag", few, 8)
+    assert analyze_main([str(tmp_path / "bag"), "--output", str(output)]) == 0
+    found = json.loads((output / "summary.json").read_text(encoding="utf-8"))
     assert (found["energy"], found["impacts"]) == (None, None)
-    assert not (tmp_path / "out" / "impacts.csv").exists()
+    assert sorted(os.listdir(output)) == [
+        *("notes.txt", "overview.png", "phase_portrait.png", "spectrum.png", "summary.json"),
+        "time_series.png",
+    ]
+
+
+def test_an_analysis_that_fails_leaves_the_earlier_one(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    output = tmp_path / "out"
+    assert analyze_main([str(bag), "--output", str(output)]) == 0
+    before = {path.name: path.read_bytes() for path in output.iterdir()}
+
+    def interrupt(*_: object) -> None:
+        raise Interruption(signal.SIGTERM)
+
+    monkeypatch.setattr(figures, "write_png", interrupt)
+    assert analyze_main([str(bag), "--output", str(output), "--to", "0.1"]) == 128 + signal.SIGTERM
+    assert {path.name: path.read_bytes() for path in output.iterdir()} == before
+    monkeypatch.undo()
+    (output / ".new.part").mkdir()  # as a killed process leaves it
+    assert analyze_main([str(bag), "--output", str(output), "--to", "0.1"]) == 0
+    assert not (output / ".new.part").exists()
+
+
+def test_a_recording_without_waveform_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    loaded(tmp_path / "bag", Parameters.from_flat({"recording.topics": ["dte"]}), 8)
+    assert analyze_main([str(tmp_path / "bag"), "--output", str(tmp_path / "out")]) == 2
+    assert "has no waveform, which was not among recording.topics" in error_line(capsys, "analyze")
 
 
 def test_analyze_takes_energies_as_channels(tmp_path: Path) -> None:

@@ -116,7 +116,7 @@ def test_a_file_that_is_no_recording(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "x.mcap: not an MCAP file" in error
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_leaves_a_complete_recording_even_if_repeated(
     tmp_path: Path, process: StartProcess, number: int
 ) -> None:

@@ -173,7 +173,7 @@ def test_parameters_of_which_one_is_refused_are_not_set(
     assert suite[-1][0].get("message") == line.removeprefix("drive: error: ")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_interrupted_run_tells_how_far_it_came(
     gearbox: Process, process: StartProcess, profile: Path, number: signal.Signals
 ) -> None:

@@ -240,7 +240,7 @@ def test_ctrl_c_while_a_command_is_loaded_is_told_in_a_line(tmp_path: Path, name
     done = subprocess.run(
         [script, "--help"], capture_output=True, text=True, timeout=120, env={"PYTHONPATH": str(tmp_path)}
     )
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", f"{name}: interrupted\n")
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", f"{name}: interrupted by SIGINT\n")
 
 
 def test_engine_analysis_and_recording_need_neither_ros_nor_viewer() -> None:

@@ -13,13 +13,14 @@ from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.realtime.recording_control import RecordingControl
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
+from gear_dynamics_ros.topics import NodeNames
 from support.processes import until
 
 
 def controlled(**values: object) -> tuple[Run, RecordingControl]:
     parameters = Parameters.from_flat({"solver.step": 1e-5, **values})
     run = Run(Engine(parameters), Encoder(parameters, 0))
-    return run, RecordingControl(run, 0, "/gearbox")
+    return run, RecordingControl(run, 0, NodeNames())
 
 
 def test_a_refusal_to_begin_stands_in_the_list_once(tmp_path: Path) -> None:

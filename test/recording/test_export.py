@@ -323,6 +323,18 @@ def test_a_full_disk_leaves_no_file(bag: Path, tmp_path: Path, suffix: str, limi
     assert not os.listdir(tmp_path)
 
 
+@pytest.mark.parametrize("table", ["waveform", "impacts", "energy"])
+def test_what_was_not_recorded_is_refused_and_not_told_as_empty(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], table: str
+) -> None:
+    record(tmp_path / "bag", Parameters.from_flat({"recording.topics": ["dte"]}), 4)
+    output = tmp_path / f"{table}.csv"
+    words = ["export", str(tmp_path / "bag"), "--table", table, "--output", str(output)]
+    assert replay_main(words) == 2
+    assert f"has no {table}, which was not among recording.topics" in error_line(capsys)
+    assert not output.exists()
+
+
 def begin_export(process: StartProcess, bag: Path, path: Path) -> Process:
     """An export that is under way."""
     exporting = process("replay", "export", bag, "--output", path)
@@ -332,11 +344,15 @@ def begin_export(process: StartProcess, bag: Path, path: Path) -> Process:
     return exporting
 
 
-def test_an_interrupted_export_leaves_no_file(process: StartProcess, bag: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_an_interrupted_export_leaves_no_file(
+    process: StartProcess, bag: Path, tmp_path: Path, number: signal.Signals
+) -> None:
     exporting = begin_export(process, bag, tmp_path / "x.csv")
-    exporting.signal(signal.SIGINT)
-    assert exporting.wait() == 130
-    assert exporting.output == "replay: interrupted\n"
+    exporting.signal(number)
+    exporting.signal(number)
+    assert exporting.wait() == 128 + number
+    assert exporting.output == f"replay: interrupted by {number.name}\n"
     assert not os.listdir(tmp_path)
 
 

@@ -25,6 +25,7 @@ from gear_dynamics_ros.replay.verify import verify_recording
 from gear_dynamics_ros.simulation import checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
+from gear_dynamics_ros.topics import NodeNames
 from support.processes import run_python, until
 from support.recordings import Recorded
 
@@ -214,7 +215,7 @@ def test_a_ring_writes_the_last_of_a_run_and_goes_on(tmp_path: Path) -> None:
     )
     engine = Engine(parameters)
     run = Run(engine, Encoder(parameters, 0))
-    recordings = RecordingControl(run, 0, "/cell/box")
+    recordings = RecordingControl(run, 0, NodeNames("/cell/box"))
     with pytest.raises(GearboxError, match="there is no ring"):
         recordings.cut()
     recordings.arm()
@@ -324,7 +325,7 @@ def test_what_a_full_disk_took_is_counted_to_the_message(tmp_path: Path, first: 
 @pytest.fixture
 def session(tmp_path: Path) -> Iterator[Session]:
     parameters = Parameters.from_flat({"recording.path": str(tmp_path / "bag"), "recording.mode": "ring"})
-    session = Session(Engine(parameters), Mailbox(parameters, 0), [], "/gearbox", lambda _: None)
+    session = Session(Engine(parameters), Mailbox(parameters, 0), [], NodeNames(), lambda _: None)
     session.begin_recording(beside=False)
     yield session
     session.finish("over")
@@ -359,7 +360,7 @@ def test_a_recording_begun_after_a_fault_goes_on_through_the_reset(tmp_path: Pat
         }
     )
     ended = threading.Event()
-    session = Session(Engine(parameters), Mailbox(parameters, 0), [], "/gearbox", lambda _: ended.set())
+    session = Session(Engine(parameters), Mailbox(parameters, 0), [], NodeNames(), lambda _: ended.set())
     session.begin_recording(beside=False)
     session.start()
     assert ended.wait(60.0)

@@ -34,7 +34,7 @@ from gear_dynamics_ros.recording.mcap import writer
 from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint
 from gear_dynamics_ros.simulation.provenance import current_provenance
-from gear_dynamics_ros.topics import TOPICS, full_topic_name
+from gear_dynamics_ros.topics import TOPICS, NodeNames, full_topic_name
 from support.chunks import COMMANDS, NO_COUNTERS, chunk_of, noise
 from support.every_topic import EPOCH_NS, extra_records
 from support.processes import python_command, python_path
@@ -209,7 +209,7 @@ def test_each_file_holds_a_copy_of_its_metadata(bag: Path) -> None:
 
 def test_records_a_choice_of_channels(tmp_path: Path) -> None:
     parameters = Parameters.from_flat({"waveform_channels": ("time", "dte")})
-    recorder = Recorder(tmp_path / "few", start_at(0, parameters), EPOCH_NS, node="/cell/box")
+    recorder = Recorder(tmp_path / "few", start_at(0, parameters), EPOCH_NS, names=NodeNames("/cell/box"))
     recorder.write(Encoder(parameters, EPOCH_NS).chunk(make_chunk(0)))
     recorder.close()
     read = recording.open(tmp_path / "few")

@@ -52,7 +52,7 @@ from gear_dynamics_ros.simulation.checkpoint import Checkpoint, StoredCheckpoint
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.provenance import Provenance
 from gear_dynamics_ros.simulation.run import Run
-from gear_dynamics_ros.topics import TOPICS, full_topic_name
+from gear_dynamics_ros.topics import TOPICS, NodeNames, full_topic_name
 from support.processes import run_python
 from support.recordings import Recorded
 from support.sinks import Keeper
@@ -748,7 +748,7 @@ THIRD = Checkpoint(3, Status.RUNNING, Commands(30.0, 30.0, 1600.0), {"u": 0.0}, 
 STATE = StoredCheckpoint(THIRD, ORIGIN).to_text().encode()
 START = Attachment(create_time=0, log_time=0, name="start.json", media_type="", data=STATE)
 RUN = Metadata(
-    name="gear_dynamics_ros", metadata=RunMetadata(ORIGIN, EPOCH_NS, "/gearbox", INTERVAL_NS).to_text()
+    name="gear_dynamics_ros", metadata=RunMetadata(ORIGIN, EPOCH_NS, NodeNames(), INTERVAL_NS).to_text()
 )
 SCHEMA = Schema(data=b"", encoding="ros2msg", id=1, name=TOPICS["waveform"].type)
 CHANNEL = Channel(id=1, topic=WAVEFORM, message_encoding="cdr", metadata={}, schema_id=1)

@@ -19,6 +19,7 @@ from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.realtime.model_info import describe_model
 from gear_dynamics_ros.simulation import engine
 from gear_dynamics_ros.simulation.provenance import current_provenance, provenance_differences
+from gear_dynamics_ros.topics import NodeNames
 from support.paths import CONFIG
 from support.processes import executable
 
@@ -93,7 +94,7 @@ def test_the_libraries_are_those_that_compute() -> None:
 
 
 def test_the_model_info_holds_both_hashes() -> None:
-    told = json.loads(describe_model(Parameters(), 0, "/gearbox"))
+    told = json.loads(describe_model(Parameters(), 0, NodeNames()))
     present = current_provenance()
     assert (told["kernel_hash"], told["model_hash"]) == (present.kernel_hash, present.model_hash)
 

@@ -68,6 +68,7 @@ def waveform_table(
     Raises UsageError on an unknown channel, one that is named twice, and a window without samples;
     GearboxError if the recording has no samples.
     """
+    recording.require_topic("waveform")
     first, end_sample = recording.require_window(start, end)
     if first == end_sample:
         raise GearboxError(f"{recording.path} holds no samples: nothing to export")
@@ -84,6 +85,7 @@ def waveform_table(
 
 def impacts_table(recording: Recording, start: float | None, end: float | None) -> ExportTable:
     """Bearing contacts that ended at times in [start, end) s. Raises UsageError as ``waveform_table``."""
+    recording.require_topic("impacts")
     recording.require_window(start, end)
     columns = tuple(map(_number, IMPACTS))
     low, high = -math.inf if start is None else start, math.inf if end is None else end
@@ -92,6 +94,7 @@ def impacts_table(recording: Recording, start: float | None, end: float | None) 
 
 def energy_table(recording: Recording, start: float | None, end: float | None) -> ExportTable:
     """Work, losses and stored energies after each chunk in [start, end) s; ``sample`` is the next one."""
+    recording.require_topic("energy")
     columns = (SAMPLE, TIME, *map(_number, ENERGIES))
     return ExportTable(columns, _energy_blocks(recording, _inside(recording, start, end), row_type(columns)))
 
