@@ -9,6 +9,7 @@ from pathlib import Path
 
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.analysis.summary import WINDOW_LENGTH
+from gear_dynamics_ros.cli.faults import warn_of_faults
 from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.reporting.analysis_report import analyze_recording, write_analysis
@@ -39,6 +40,7 @@ def _analyze(arguments: argparse.Namespace) -> int:
     if output.exists() and not output.is_dir():
         raise UsageError(f"--output {output} is a file: name a folder")
     bag = recording.open(arguments.bag)
+    warn_of_faults("analyze", bag)
     with Progress("reading", bag.end_sample - bag.first_sample) as progress:
         analysis = analyze_recording(bag, arguments.start, arguments.end, progress)
     with Progress("drawing", 100) as progress:

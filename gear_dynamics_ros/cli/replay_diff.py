@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import Any
 
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.analysis.comparison import ANGLES
+from gear_dynamics_ros.cli.faults import warn_of_faults
 from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.replay.pairing import BY_START, BY_TIME, pair
@@ -56,9 +56,8 @@ def _diff(arguments: argparse.Namespace) -> int:
     common = pair(*both, arguments.align, arguments.start, arguments.end)
     with Progress("compared", common.end - common.first) as progress:
         difference = compare_recordings(common, progress)
-    for name, bag in zip("AB", both, strict=True):
-        if not bag.complete:
-            print(f"replay: warning: {name} is broken off: {bag.path}", file=sys.stderr)
+    for bag in both:
+        warn_of_faults("replay", bag)
     for line in difference_lines(difference):
         print(line)
     if output is not None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import Any
 
 from gear_dynamics_ros import recording
+from gear_dynamics_ros.cli.faults import warn_of_faults
 from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.recording.export import tables
 from gear_dynamics_ros.recording.export.formats import FORMATS
@@ -53,12 +53,7 @@ def _export(arguments: argparse.Namespace) -> int:
             end=arguments.end,
             progress=lambda reached: progress(max(reached - first, 0)),
         )
-    if not bag.complete:
-        end = bag.end_sample * bag.sample_interval_ns / 1e9
-        print(
-            f"replay: warning: {bag.path} is broken off: what is readable, up to {end:.9g} s, was exported",
-            file=sys.stderr,
-        )
+    warn_of_faults("replay", bag)
     size = f"{written.size / 1e6:.1f} MB" if written.size >= 1e6 else f"{written.size / 1e3:.1f} kB"
     print(f"{arguments.output}: {written.rows} rows of {written.columns} columns, {size}")
     return 0

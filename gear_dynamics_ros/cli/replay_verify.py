@@ -7,6 +7,7 @@ import sys
 from typing import Any
 
 from gear_dynamics_ros import recording
+from gear_dynamics_ros.cli.faults import warn_of_faults
 from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.system.command import FAILURE
 
@@ -37,6 +38,7 @@ def _verify(arguments: argparse.Namespace) -> int:
     from gear_dynamics_ros.simulation.provenance import provenance_differences
 
     bag = recording.open(arguments.bag)
+    warn_of_faults("replay", bag)
     with Progress("verified", bag.end_sample - bag.first_sample) as progress:
         result = verify_recording(bag, arguments.start, progress)
     if result.difference is not None:
@@ -50,6 +52,6 @@ def _verify(arguments: argparse.Namespace) -> int:
         f"{result.simulated:.6g} s in {result.elapsed:.2f} s, "
         f"{result.simulated / result.elapsed:.2f} times real time"
     )
-    if not (bag.complete and bag.parts[-1].end):
+    if not bag.concluded:
         print("the recording was not concluded: the run may have continued after its last sample")
     return 0

@@ -56,6 +56,7 @@ class RunMetadata(NamedTuple):
     epoch_ns: int  # stamp of simulated time 0
     names: NodeNames
     sample_interval_ns: int
+    origin: str = ""  # SHA-256 of the checkpoint at the start of the recording, hexadecimal
 
     def to_text(self) -> dict[str, str]:
         """All values as text, as MCAP stores them, those of the provenance first."""
@@ -65,6 +66,7 @@ class RunMetadata(NamedTuple):
             "node": self.names.node,
             "remapped": json.dumps(dict(self.names.remapped)),
             "sample_interval_ns": self.sample_interval_ns,
+            "origin": self.origin,
         }
         return {name: str(value) for name, value in values.items()}
 
@@ -89,6 +91,7 @@ class RunMetadata(NamedTuple):
             epoch_ns=int(values["epoch_ns"]),
             names=NodeNames(values["node"], _remapped(values.get("remapped", "{}"))),
             sample_interval_ns=int(values["sample_interval_ns"]),
+            origin=values.get("origin", ""),
         )
 
 

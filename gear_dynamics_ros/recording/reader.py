@@ -19,6 +19,7 @@ from gear_dynamics_ros.events import OperatorEvent
 from gear_dynamics_ros.messages.decoder import MessageDecoder
 from gear_dynamics_ros.parameters import Parameters, parse_parameters
 from gear_dynamics_ros.recording import layout
+from gear_dynamics_ros.recording.coverage import SampleRange, cover, ordered
 from gear_dynamics_ros.recording.parts import PartFile, StoredMessage, open_parts
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint
 from gear_dynamics_ros.topics import TOPICS
@@ -48,6 +49,7 @@ class Recording:
         self.parts = parts
         self.parameters = parameters
         self.run = parts[0].run
+        self.coverage = cover(path, parts, self.run.names.topic("waveform"))
         # Full names by key in TOPICS.
         self.topic_names = {key: self.run.names.topic(key) for key in TOPICS}
         # The waveform holds the samples from the first to before the second.
@@ -85,9 +87,19 @@ class Recording:
 
     @property
     def complete(self) -> bool:
-        """Whether every part was finished, and metadata.yaml exists if it is a folder."""
+        """Whether all is there and as the recorder left it."""
+        return self.coverage.whole
+
+    @property
+    def concluded(self) -> bool:
+        """Whether the recorder came to its end: the run may have continued after that of a broken one."""
         has_metadata = self.path.is_file() or (self.path / layout.METADATA_FILE).is_file()
-        return has_metadata and all(part.complete for part in self.parts)
+        return has_metadata and bool(self.parts[-1].end)
+
+    @property
+    def samples(self) -> int:
+        """Number of samples held; ``first_sample`` to ``end_sample`` may have gaps."""
+        return self.coverage.samples if "waveform" in self.recorded else 0
 
     @property
     def size(self) -> int:
@@ -225,19 +237,30 @@ class Recording:
 
         Only the samples in [first, end) are given. Raises GearboxError if samples are missing or doubled.
         """
-        expected: int | None = None
-        from_ns = None if first is None else self.stamp_of(first)
-        for time_ns, samples in self._waveform(from_ns):
+        low = self.first_sample if first is None else max(first, self.first_sample)
+        high = self.end_sample if end is None else min(end, self.end_sample)
+        expected, started = low, False
+        for time_ns, samples in self._waveform(None if first is None else self.stamp_of(low)):
             begin = self.sample_of(time_ns) - len(samples) + 1
-            if expected is not None and begin != expected:
-                raise GearboxError(f"{self.path}: sample {expected} should follow, but sample {begin} does")
-            expected = begin + len(samples)
-            low = 0 if first is None else max(first - begin, 0)
-            high = len(samples) if end is None else min(end - begin, len(samples))
-            if low < high:
-                yield begin + low, samples[low:high]
-            if end is not None and end <= expected < self.end_sample:
+            if begin > expected or (started and begin < expected):
+                self._refuse_break(expected, begin)
+            expected, started = begin + len(samples), True
+            skip, stop = max(low - begin, 0), min(high - begin, len(samples))
+            if skip < stop:
+                yield begin + skip, samples[skip:stop]
+            if high <= expected < self.end_sample:
                 return
+        if expected < high:
+            self._refuse_break(expected, high)
+
+    def _refuse_break(self, expected: int, found: int) -> None:
+        """Raise GearboxError: sample ``found`` follows where ``expected`` should."""
+        if found < expected:
+            raise GearboxError(f"{self.path}: sample {expected} should follow, but sample {found} does")
+        missing = SampleRange(expected, found).text(self.sample_interval_ns)
+        raise GearboxError(
+            f"{self.path}: the samples {missing} are missing: choose a time before or behind them"
+        )
 
     def rows(self, topic: str) -> Iterator[tuple[int, NDArray[np.float64]]]:
         """Stamp in ns and rows (n, columns) of each message on ``topic`` (key in TOPICS), one with rows."""
@@ -355,10 +378,11 @@ class Recording:
 def open(path: str | Path) -> Recording:
     """The recording at ``path``: a rosbag2 folder or one MCAP file, complete or broken off.
 
-    Raises UsageError if there is none, GearboxError if it was not recorded by this package or is damaged.
+    ``coverage`` says what is missing. Raises UsageError if there is none, GearboxError if it was not recorded
+    by this package, is damaged or mixes parts of several runs.
     """
     path = Path(path)
-    parts = open_parts(path)
+    parts = ordered(open_parts(path))
     try:
         return Recording(path, parts, parse_parameters(parts[0].parameters))
     except UsageError as error:

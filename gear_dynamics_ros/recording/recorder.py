@@ -6,6 +6,7 @@ slow disk the caller waits; a full or missing disk sets ``error``.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 import threading
@@ -87,11 +88,14 @@ class Recorder:
     ) -> None:
         self._report = report
         self.path = Path(os.path.abspath(path))
+        provenance = current_provenance()
+        origin = hashlib.sha256(StoredCheckpoint(start, provenance).to_text().encode())
         self._run = RunMetadata(
-            provenance=current_provenance(),
+            provenance=provenance,
             epoch_ns=epoch_ns,
             names=names,
             sample_interval_ns=start.parameters.solver.sample_interval_ns,
+            origin=origin.hexdigest(),
         )
         self._topics = layout.recorded_topics(start.parameters, names)
         self._sequences: Counter[str] = Counter()

@@ -23,8 +23,14 @@ from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.cdr import TYPESTORE
 from gear_dynamics_ros.messages.decoder import row_count
 from gear_dynamics_ros.recording import layout
+from gear_dynamics_ros.recording.coverage import (
+    SampleRange,
+    listed_files,
+    require_no_overlap,
+    require_same_run,
+)
 from gear_dynamics_ros.recording.layout import Definitions, PartSummary, RunMetadata
-from gear_dynamics_ros.recording.mcap.index import read_summary
+from gear_dynamics_ros.recording.mcap.index import bytes_behind, read_summary
 from gear_dynamics_ros.recording.mcap.records import ChunkContent, FoundRecord, first_bytes, walk
 from gear_dynamics_ros.recording.mcap.writer import McapWriter
 from gear_dynamics_ros.recording.parts import part_files, reading
@@ -35,13 +41,6 @@ from gear_dynamics_ros.topics import DEFAULT_NAMES, TOPICS, NodeNames, Topic
 _LIBRARY: Final = f"{layout.RUN_METADATA} {__version__}"
 
 
-class SampleRange(NamedTuple):
-    """The samples from ``first`` to before ``end``."""
-
-    first: int
-    end: int
-
-
 class RecoveredPart(NamedTuple):
     """Result for one file."""
 
@@ -50,6 +49,7 @@ class RecoveredPart(NamedTuple):
     finished: bool  # whether it ends with an intact index
     ended: bool  # whether its data are complete to their end, with or without an intact index behind them
     break_at: int  # offset of the byte after its last whole record
+    behind: int  # bytes behind its end, left out
     messages: int  # kept, on all topics
     samples: int  # kept
     span: SampleRange | None  # from the first to the last sample kept
@@ -65,7 +65,8 @@ class RecoveredPart(NamedTuple):
     @property
     def whole(self) -> bool:
         """Whether nothing of it was lost."""
-        return self.ended and not (self.damaged_chunks or self.damaged_attachments or self.damaged_metadata)
+        damaged = self.damaged_chunks or self.damaged_attachments or self.damaged_metadata
+        return self.ended and not (self.behind or damaged)
 
 
 class Recovery(NamedTuple):
@@ -75,9 +76,10 @@ class Recovery(NamedTuple):
     target: Path
     parts: tuple[RecoveredPart, ...]
     left_out: Mapping[str, str]  # reason by name of the file
+    missing: tuple[str, ...]  # files that metadata.yaml lists, with their times, and that are not there
     gaps: tuple[SampleRange, ...]  # samples missing between those kept
     sample_interval_ns: int | None  # None if no file has it
-    metadata_found: bool  # whether metadata.yaml existed, or the source is a single file
+    metadata_whole: bool  # whether metadata.yaml was there and readable, or the source is a single file
 
     @property
     def size(self) -> int:
@@ -105,7 +107,7 @@ class Recovery(NamedTuple):
     @property
     def whole(self) -> bool:
         """Whether nothing was lost."""
-        return all(part.whole for part in self.parts) and not (self.left_out or self.gaps)
+        return all(part.whole for part in self.parts) and not (self.left_out or self.missing or self.gaps)
 
 
 def default_target(source: Path) -> Path:
@@ -123,13 +125,15 @@ def recover(source: Path, target: Path, progress: Callable[[float], None] = lamb
 
     Raises UsageError if ``source`` does not exist or was not recorded by this package, or if ``target``
     exists, lies in ``source`` or can't be created; GearboxError if no file is MCAP, a file has topics that
-    this package does not know, or reading or writing fails.
+    this package does not know, the files are not of one run, or reading or writing fails.
     """
     source, target = Path(os.path.abspath(source)), Path(os.path.abspath(target))
     files = part_files(source)
     _require_place(source, target)
     found, left_out = _inspect_all(source, files, lambda share: progress(share / 2))
+    found = _in_order(found)
     tracker = _SampleTracker(next((part.run for part in found if part.run is not None), None))
+    missing, metadata_whole = _missing_files(source, files, tracker.run)
     with new_folder(target) as draft:
         rebuilt = _rebuild_all(
             found, draft, _names(found, target), tracker, lambda share: progress((1 + share) / 2)
@@ -140,9 +144,10 @@ def recover(source: Path, target: Path, progress: Callable[[float], None] = lamb
         target,
         tuple(part.report for part in rebuilt),
         left_out,
+        missing,
         tuple(tracker.gaps),
         None if tracker.run is None else tracker.run.sample_interval_ns,
-        source.is_file() or (source / layout.METADATA_FILE).is_file(),
+        metadata_whole,
     )
 
 
@@ -160,6 +165,7 @@ class _BrokenFile:
     run: RunMetadata | None = None
     first_sample: int | None = None  # according to its start checkpoint
     chunks: int = 0  # damaged ones too
+    behind: int = 0  # bytes behind its end
 
     @property
     def without_start(self) -> bool:
@@ -169,7 +175,6 @@ class _BrokenFile:
     def add(self, record: FoundRecord) -> None:
         """Take the next record into account. Raises GearboxError on a topic with an unknown type."""
         content = record.content
-        self.ended = self.ended or record.opcode == Opcode.DATA_END
         self.chunks += record.opcode == Opcode.CHUNK
         if not record.fault:  # a damaged record at the end of the file counts as part of the tail
             self.end = record.offset + record.length
@@ -204,11 +209,18 @@ class _SampleTracker:
         self._topic = self.names.topic("waveform")
         self._expected: int | None = None
 
-    def begin_part(self, first_sample: int | None) -> None:
-        """Begin a part; ``first_sample`` is that of its start checkpoint, None if it has none."""
+    def begin_part(self, path: Path, first_sample: int | None) -> None:
+        """Begin the part ``path``; ``first_sample`` is that of its start checkpoint, None if it has none.
+
+        Raises GearboxError if the parts so far have this sample.
+        """
         self.samples, self.span = 0, None
-        if first_sample is not None:
-            self._reach(SampleRange(first_sample, first_sample))
+        if first_sample is None:
+            return
+        if self._expected is not None and self.run is not None:
+            begun = SampleRange(first_sample, self._expected)
+            require_no_overlap(path, begun, self._expected, self.run.sample_interval_ns)
+        self._reach(SampleRange(first_sample, first_sample))
 
     def add_chunk(self, content: ChunkContent, channels: Mapping[int, Channel]) -> None:
         """Take the next chunk into account."""
@@ -284,7 +296,12 @@ def _inspect(path: Path, progress: Callable[[float], None]) -> _BrokenFile | Non
         summary = read_summary(stream)
         broken = _BrokenFile(path, size, min(size, len(MCAP0_MAGIC)), summary is not None)
         outside = Definitions({}, {})  # of chunks
-        for record in walk(stream, size):
+        records = walk(stream, size)
+        for record in records:
+            if record.opcode == Opcode.DATA_END:
+                broken.ended, broken.end = True, record.offset + record.length
+                broken.behind = 0 if broken.finished else bytes_behind(stream, records)
+                break
             broken.add(record)
             if isinstance(record.content, Schema):
                 _add_missing(outside, {record.content.id: record.content}, {})
@@ -297,6 +314,35 @@ def _inspect(path: Path, progress: Callable[[float], None]) -> _BrokenFile | Non
     _add_missing(broken.definitions, outside.schemas, outside.channels)
     broken.definitions = _usable(broken.definitions)
     return broken
+
+
+def _in_order(found: Sequence[_BrokenFile]) -> list[_BrokenFile]:
+    """The files in the order of their samples; those without a start stay behind the one before.
+
+    Raises GearboxError if they are not of one run.
+    """
+    known = [(part.path, part.run) for part in found if part.run is not None]
+    for path, run in known[1:]:
+        require_same_run(path, run, *known[0])
+    starts: list[int] = []
+    for part in found:
+        before = starts[-1] if starts else -1
+        starts.append(before if part.first_sample is None else part.first_sample)
+    return [part for _, part in sorted(zip(starts, found, strict=True), key=lambda entry: entry[0])]
+
+
+def _missing_files(
+    source: Path, files: Sequence[Path], run: RunMetadata | None
+) -> tuple[tuple[str, ...], bool]:
+    """Files that metadata.yaml lists and that are not there; and whether it was there and readable."""
+    try:
+        listed = listed_files(source)
+    except GearboxError:  # it is written again
+        return (), False
+    names = {file.name for file in files}
+    epoch_ns = 0 if run is None else run.epoch_ns
+    missing = tuple(file.text(epoch_ns) for file in listed or () if file.name not in names)
+    return missing, source.is_file() or listed is not None
 
 
 def _require_own(source: Path, files: Sequence[_BrokenFile]) -> None:
@@ -367,8 +413,8 @@ def _first_sample(start: bytes) -> int | None:
 
 
 def _names(found: Sequence[_BrokenFile], target: Path) -> list[str]:
-    """File names of the new parts, with the numbers of the old ones if all of these have one."""
-    numbers = [layout.part_number(part.path) for part in found]
+    """File names of the new parts, with the numbers of the old ones in order, if all of these have one."""
+    numbers = sorted(layout.part_number(part.path) for part in found)
     if min(numbers) < 0 or len(set(numbers)) < len(numbers):
         numbers = list(range(len(found)))
     return [layout.part_name(target, number) for number in numbers]
@@ -408,7 +454,7 @@ def _rebuild(
     progress: Callable[[float], None],
 ) -> _Rebuilt:
     """Write one new file. Raises OSError if that fails."""
-    tracker.begin_part(source.first_sample)
+    tracker.begin_part(source.path, source.first_sample)
     with reading(source.path) as stream, closing(McapWriter(path, _LIBRARY)) as writer:
         _define(writer, definitions, tracker.names)
         damaged = _copy_records(source, stream, writer, definitions.channels, tracker, progress)
@@ -454,6 +500,7 @@ def _recovered_part(
         finished=source.finished,
         ended=source.ended,
         break_at=source.end,
+        behind=source.behind,
         messages=part.messages,
         samples=tracker.samples,
         span=tracker.span,

@@ -74,10 +74,8 @@ class PartReader:
         return sorted([*acted, *self._requested()], key=lambda action: action[0])
 
     def require_order(self) -> None:
-        """Raise GearboxError if the part is of another run, has a checkpoint twice or goes back in time."""
-        path, first = self.part.path, self._recording.parts[0]
-        if self.part.run != self._recording.run:
-            raise GearboxError(f"{path} is of another run than {first.path.name}")
+        """Raise GearboxError if the part has a checkpoint twice or goes back in time."""
+        path = self.part.path
         names = Counter(entry.name for entry in self.part.index.attachments)
         names[layout.checkpoint_name(self.part.first_sample)] += 1
         for name, count in names.items():

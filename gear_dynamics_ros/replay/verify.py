@@ -16,9 +16,7 @@ from threading import Event as Flag
 from threading import Lock
 from typing import Final, NamedTuple, TypeVar
 
-import yaml
-
-from gear_dynamics_ros.errors import GearboxError, UsageError, one_line
+from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.parts import StoredMessage
 from gear_dynamics_ros.recording.reader import Recording
@@ -132,10 +130,8 @@ class _SampleCount:
 
 def _require_whole(recording: Recording) -> None:
     """Raise GearboxError if a file is lost, or there is nothing to compare."""
-    for name in _lost_files(recording):
-        gone = not (recording.path / name).exists()
-        what = "is missing: put it back" if gone else "has lost its start: replay recover keeps what is whole"
-        raise GearboxError(f"{recording.path}: metadata.yaml lists {name}, which {what}")
+    for lost in recording.coverage.lost_files:
+        raise GearboxError(f"{recording.path}: {lost}")
     if not any(part.index.chunks or part.end for part in recording.parts):
         raise GearboxError(
             f"{recording.path} broke off before its first message: there is nothing to compare"
@@ -144,18 +140,6 @@ def _require_whole(recording: Recording) -> None:
         raise GearboxError(
             f"{recording.path} holds no waveform to compare: add waveform to recording.topics when recording"
         )
-
-
-def _lost_files(recording: Recording) -> list[str]:
-    """Names of the files in metadata.yaml that are not among the parts: missing, or without a start."""
-    path = recording.path / layout.METADATA_FILE
-    if not path.is_file():
-        return []
-    try:
-        listed = yaml.safe_load(path.read_text(encoding="utf-8"))[layout.INFORMATION][layout.FILES]
-        return sorted({str(name) for name in listed} - {part.path.name for part in recording.parts})
-    except (KeyError, OSError, TypeError, ValueError, RecursionError, yaml.YAMLError) as error:
-        raise GearboxError(f"{path} is damaged: {one_line(repr(error)):.200}") from error
 
 
 def _missing(recording: Recording, legs: Sequence[_Leg]) -> Mismatch | None:

@@ -13,17 +13,13 @@ def recording_lines(bag: Recording) -> Iterator[str]:
 
     Raises GearboxError at a damaged message.
     """
-    state = (
-        "complete"
-        if bag.complete
-        else "broken off: what was flushed is readable; replay recover makes it complete"
-    )
-    yield f"{bag.path}: {state}"
+    yield f"{bag.path}: {'complete' if bag.complete else 'not complete; replay recover keeps what is whole'}"
+    yield from fault_lines(bag)
     yield f"version {bag.version}, kernel {bag.kernel_hash[:12]}, model {bag.parameters.model}"
     yield f"made on {bag.run.provenance.processor or 'an unknown processor'}"
     yield (
-        f"{bag.end_sample - bag.first_sample} samples of {len(bag.channel_names)} channels every "
-        f"{bag.sample_interval_ns} ns: {bag.duration_ns / 1e9:.6g} s from "
+        f"{bag.samples} samples of {len(bag.channel_names)} channels every "
+        f"{bag.sample_interval_ns} ns: {bag.samples * bag.sample_interval_ns / 1e9:.6g} s from "
         f"{_seconds(bag, bag.first_sample):.6g} s on; {bag.size / 1e6:.1f} MB"
     )
     for part in bag.parts:
@@ -36,6 +32,14 @@ def recording_lines(bag: Recording) -> Iterator[str]:
         yield f"  {event.kind} at {event.time:.6f} s (sample {event.sample}) {_event_text(event)}".rstrip()
 
 
+def fault_lines(bag: Recording) -> tuple[str, ...]:
+    """What is missing in ``bag`` or not as the recorder left it, a line each."""
+    gaps = (
+        f"{len(gap)} samples are missing: {gap.text(bag.sample_interval_ns)}" for gap in bag.coverage.gaps
+    )
+    return (*bag.coverage.lost_files, *gaps, *bag.coverage.notes)
+
+
 def _seconds(bag: Recording, sample: int) -> float:
     return sample * bag.sample_interval_ns / 1e9
 
@@ -44,7 +48,7 @@ def _part_text(bag: Recording, part: PartFile) -> str:
     states = len(part.checkpoints)
     return (
         f"{part.size / 1e6:.1f} MB from {_seconds(bag, part.first_sample):.6g} s on, "
-        f"{states} checkpoint{'' if states == 1 else 's'}{'' if part.complete else ', broken off'}"
+        f"{states} checkpoint{'' if states == 1 else 's'}{'' if part.end else ', broken off'}"
     )
 
 

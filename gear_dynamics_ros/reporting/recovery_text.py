@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from gear_dynamics_ros.recording.recover import RecoveredPart, Recovery, SampleRange
+from gear_dynamics_ros.recording.coverage import SampleRange
+from gear_dynamics_ros.recording.recover import RecoveredPart, Recovery
 
 
 def recovery_lines(report: Recovery) -> Iterator[str]:
@@ -17,8 +18,10 @@ def recovery_lines(report: Recovery) -> Iterator[str]:
         yield f"  {name}  {reason}: left out"
     for gap in report.gaps:
         yield f"missing in between: {gap.end - gap.first} samples, {_times(gap, report)}"
-    if not report.metadata_found:
-        yield "metadata.yaml was missing: written again"
+    for name in report.missing:
+        yield f"missing: {name}, which metadata.yaml lists"
+    if not report.metadata_whole:
+        yield "metadata.yaml was missing or damaged: written again"
     yield f"read {report.size} bytes, kept {_kept(report, report)}"
     yield _verdict(report)
 
@@ -26,6 +29,8 @@ def recovery_lines(report: Recovery) -> Iterator[str]:
 def _state(part: RecoveredPart) -> str:
     damaged = _damaged([part])
     left_out = f"; left out as damaged: {', '.join(damaged)}" if damaged else ""
+    if part.behind:
+        return f"{part.behind} bytes behind its end{left_out or ': left out'}"
     if part.whole:
         return "whole" if part.finished else "whole but for the index at its end"
     if part.ended:
@@ -50,21 +55,22 @@ def _damaged(parts: Sequence[RecoveredPart]) -> list[str]:
 
 
 def _times(span: SampleRange, report: Recovery) -> str:
-    """First and last sample with their times. If there are samples, their interval is known."""
-    first, last = (sample * (report.sample_interval_ns or 0) / 1e9 for sample in (span.first, span.end - 1))
-    return f"{span.first} to {span.end - 1} ({first:.6f} s to {last:.6f} s)"
+    return span.text(report.sample_interval_ns or 0)  # if there are samples, their interval is known
 
 
 def _verdict(report: Recovery) -> str:
     if report.whole:
         return "nothing was lost"
     tail = sum(part.tail for part in report.parts)
+    behind = sum(part.behind for part in report.parts)
     missing = sum(gap.end - gap.first for gap in report.gaps)
     lost = [
         *([f"{tail} bytes without a whole record"] if tail else []),
         *_damaged(report.parts),
         *([f"{missing} samples in between"] if missing else []),
         *([f"{len(report.left_out)} files"] if report.left_out else []),
+        *([f"missing files: {len(report.missing)}"] if report.missing else []),
+        *([f"{behind} bytes behind the end of files"] if behind else []),
     ]
     verdict = f"lost: {', '.join(lost)}" if lost else "lost: what had not been flushed"
     if report.messages:

@@ -298,7 +298,7 @@ def test_a_broken_off_recording_exports_what_is_readable(
     assert same_bits(rows, np.ascontiguousarray(recording.open(bag).window()["dte_rate"][: len(rows)]))
     assert (
         shown.err.count("\n") == 1
-        and f"broken off: what is readable, up to {len(rows) * 1e-5:.9g} s" in shown.err
+        and f"broken off: what was flushed is readable, up to {len(rows) * 1e-5:.9g} s\n" in shown.err
     )
 
 

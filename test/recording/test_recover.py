@@ -229,7 +229,7 @@ def test_a_recording_cut_anywhere_recovers(bag: Path, samples: np.ndarray[Any, A
         kept = max((each.last for each in chunks[number] if each.end <= place), default=first)
         begin = first if alone else 0
         assert (report.samples, report.gaps, report.size) == (kept - begin, (), place if alone else at)
-        assert report.parts[-1].break_at <= place and report.metadata_found == alone
+        assert report.parts[-1].break_at <= place and report.metadata_whole == alone
         if kept > begin:
             opened = recording.open(tmp_path / "whole")
             assert opened.complete and opened.first_sample == begin
@@ -246,7 +246,7 @@ def test_what_is_whole_is_copied_and_nothing_is_lost(
     bag: Path, samples: np.ndarray[Any, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     report = recovered(bag, tmp_path / "copy")
-    assert report.whole and report.metadata_found and all(part.finished for part in report.parts)
+    assert report.whole and report.metadata_whole and all(part.finished for part in report.parts)
     assert report.messages == check_topics(bag) == check_files(tmp_path / "copy")
     assert report.span == (0, CHUNKS * ROWS)
     with Reader(tmp_path / "copy") as reader:
@@ -460,7 +460,7 @@ def test_the_report_tells_what_was_kept_and_lost(
     assert told[7].startswith(
         f"missing in between: {missing} samples, {damaged.first} to {damaged.last - 1} "
     )
-    assert told[8] == "metadata.yaml was missing: written again"
+    assert told[8] == "metadata.yaml was missing or damaged: written again"
     assert told[9].startswith(
         f"read {size} bytes, kept {sum(sum(each.values()) for each in counts)} messages, {kept}"
     )
@@ -472,7 +472,9 @@ def test_a_last_part_without_its_start_is_left_out(
     bag: Path, samples: np.ndarray[Any, Any], tmp_path: Path, size: int
 ) -> None:
     source = changed(bag, tmp_path / "source", 2, (bag / "bag_2.mcap").read_bytes()[:size])
-    with pytest.raises(GearboxError, match=r"lists bag_2\.mcap, which has lost its start"):
+    with pytest.raises(
+        GearboxError, match=r"lists bag_2\.mcap \(0\.600000 s to 0\.999990 s\), which has lost its start"
+    ):
         verify_recording(recording.open(source))
     report = recovered(source, tmp_path / "out")
     assert dict(report.left_out) == {"bag_2.mcap": "broke off before its start"}

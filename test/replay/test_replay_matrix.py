@@ -21,14 +21,16 @@ from gear_dynamics_ros.recording.recover import recover
 from gear_dynamics_ros.replay.verify import verify_recording
 from support.gearbox import Client, start_gearbox
 
+# The clock comes at every edge of a chunk, states or not.
 PACES = {
-    "flat out": ("pacing.real_time_factor:=0", "solver.chunk:=0.002"),
-    "real time": ("pacing.real_time_factor:=1", "solver.chunk:=0.002"),
-    "slow, short chunks": ("pacing.real_time_factor:=0.1", "solver.chunk:=0.0005"),
+    "flat out": ("pacing.real_time_factor:=0", "solver.chunk:=0.002", "clock_rate:=500.0"),
+    "real time": ("pacing.real_time_factor:=1", "solver.chunk:=0.002", "clock_rate:=500.0"),
+    "slow, short chunks": ("pacing.real_time_factor:=0.1", "solver.chunk:=0.0005", "clock_rate:=2000.0"),
     "catching up, compared": (
         "pacing.real_time_factor:=1.5",
         "pacing.on_overrun:=catch_up",
         "solver.chunk:=0.01",
+        "clock_rate:=100.0",
         "model:=compared",
         "operation.control:=torque",
     ),
@@ -74,7 +76,6 @@ def test_a_recording_of_the_node_verifies(ros_domain, process, tmp_path: Path, p
         f"checkpoint.path:={tmp_path / 'state.json'}",
         "recording.checkpoint_interval:=0.1",
         "recording.split_duration:=1.0",
-        "clock_rate:=500.0",  # at every edge of a chunk, states or not
         "stepping.chunks:=3",
         "operation.load_viscous:=0.02",  # torques that don't balance must not run away
         *PACES[pace],

@@ -30,7 +30,7 @@ from gear_dynamics_ros.replay.verify import verify_recording
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.provenance import provenance_differences
 from gear_dynamics_ros.simulation.run import Run
-from gear_dynamics_ros.topics import TOPICS, full_topic_name
+from gear_dynamics_ros.topics import DEFAULT_NAMES, TOPICS, full_topic_name
 from support import altering
 from support.altering import alter, in_json, on_topic
 from support.recordings import SHORT, SHORT_CHUNK, perform
@@ -119,7 +119,7 @@ def test_what_a_ring_holds_comes_out_again(deeds: list[Any], held: float) -> Non
             run.step(deed if isinstance(deed, Commands) else None)
     run.step()
     with tempfile.TemporaryDirectory() as folder:
-        found = recording.open(ring.cut().write(Path(folder) / "bag", 0, "/gearbox"))
+        found = recording.open(ring.cut().write(Path(folder) / "bag", 0, DEFAULT_NAMES))
         result = verify_recording(found)
         assert found.complete and result.difference is None and result.states >= 1
         wanted = min(round(held / 1e-5), engine.sample)
@@ -327,6 +327,9 @@ def numbered(content: bytes) -> bytes:
     return len(content).to_bytes(8, "little") + content
 
 
+FURTHER = ("epoch_ns", "node", "remapped", "sample_interval_ns", "origin")
+
+
 def test_the_digests_are_those_that_the_documentation_describes(bag: Path) -> None:
     for path in sorted(bag.glob("*.mcap")):
         with path.open("rb") as stream:
@@ -339,7 +342,7 @@ def test_the_digests_are_those_that_the_documentation_describes(bag: Path) -> No
             ]
             (run,) = (record.metadata for record in reader.iter_metadata() if record.name != "rosbag2")
         names = ("version", "kernel_hash", "model_hash", "processor", "compiler", "libraries")
-        lines = [f"{name}={run[name]}\n" for name in (*names, "epoch_ns", "node", "sample_interval_ns")]
+        lines = [f"{name}={run[name]}\n" for name in (*names, *FURTHER)]
         opening = numbered("".join(lines).encode())
         opening += numbered(attached["parameters.yaml"].data) + numbered(attached["start.json"].data)
         begin = int(json.loads(attached["start.json"].data)["checkpoint"]["sample"]) * 10_000
@@ -708,7 +711,10 @@ def test_what_a_part_should_begin_with_is_missed(bag: Path, tmp_path: Path, topi
 def test_a_file_that_is_missing_is_told(bag: Path, tmp_path: Path, number: int) -> None:
     copy = shutil.copytree(bag, tmp_path / "bag")
     (copy / f"bag_{number}.mcap").unlink()
-    with pytest.raises(GearboxError, match=f"lists bag_{number}.mcap, which is missing"):
+    with pytest.raises(
+        GearboxError,
+        match=rf"lists bag_{number}.mcap \(0.00\d+ s to 0.00\d+ s\), which is missing: put it back",
+    ):
         verify_recording(recording.open(copy))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import BinaryIO, Final
 
@@ -53,6 +54,7 @@ class FileIndex:
     metadata: list[MetadataIndex] = field(default_factory=list)
     counts: dict[int, int] = field(default_factory=dict)  # channel -> messages
     end: int = 0  # offset of the byte after the last whole record of data
+    behind: int = 0  # bytes behind the end of the file according to its footer
 
     @property
     def start_ns(self) -> int:
@@ -167,12 +169,24 @@ def _all_before(index: FileIndex, end: int) -> bool:
 
 def _from_records(stream: BinaryIO) -> FileIndex:
     index = FileIndex(complete=False, end=len(MCAP0_MAGIC))
-    for record in walk(stream):
-        if record.opcode == Opcode.DATA_END or (record.opcode == Opcode.CHUNK and record.fault):
+    records = walk(stream)
+    for record in records:
+        if record.opcode == Opcode.DATA_END:
+            index.behind = bytes_behind(stream, records)
+            break
+        if record.opcode == Opcode.CHUNK and record.fault:
             break
         _add(index, record)
         index.end = record.offset + record.length
     return index
+
+
+def bytes_behind(stream: BinaryIO, records: Iterator[FoundRecord]) -> int:
+    """Bytes of the file behind its end, if ``records``, those after its data, have a footer; else 0."""
+    footer = next((record for record in records if record.opcode == Opcode.FOOTER), None)
+    if footer is None:
+        return 0
+    return max(file_size(stream) - (footer.offset + footer.length + len(MCAP0_MAGIC)), 0)
 
 
 def _add(index: FileIndex, record: FoundRecord) -> None:
