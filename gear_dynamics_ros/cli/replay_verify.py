@@ -7,7 +7,7 @@ import sys
 from typing import Any
 
 from gear_dynamics_ros import recording
-from gear_dynamics_ros.cli.progress import Progress
+from gear_dynamics_ros.cli.progress import Progress, stderr_lines
 from gear_dynamics_ros.system.command import FAILURE
 
 
@@ -35,8 +35,10 @@ def _verify(arguments: argparse.Namespace) -> int:
     # Imported here: loading the kernel takes time, and the other verbs do not need it.
     from gear_dynamics_ros.replay.verify import verify_recording
     from gear_dynamics_ros.simulation.provenance import provenance_differences
+    from gear_dynamics_ros.simulation.warm_up import warm_up
 
     bag = recording.open(arguments.bag)
+    warm_up(*stderr_lines("replay"))
     with Progress("verified", bag.end_sample - bag.first_sample) as progress:
         result = verify_recording(bag, arguments.start, progress)
     if result.difference is not None:

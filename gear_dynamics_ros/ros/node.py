@@ -22,7 +22,6 @@ from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.parameters import ParameterChange, Parameters
 from gear_dynamics_ros.physics import step_check
 from gear_dynamics_ros.physics.advice import parameter_warnings
-from gear_dynamics_ros.realtime.engine_thread import warm_up
 from gear_dynamics_ros.realtime.mailbox import Mailbox
 from gear_dynamics_ros.realtime.session import Session
 from gear_dynamics_ros.ros import diagnostics, node_topics
@@ -33,6 +32,7 @@ from gear_dynamics_ros.ros.runtime_parameters import RuntimeParameters
 from gear_dynamics_ros.simulation import checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.sinks import ViewerSink
+from gear_dynamics_ros.simulation.warm_up import warm_up
 from gear_dynamics_ros.viewer import Viewer, open_viewer
 
 
@@ -129,7 +129,7 @@ class GearboxNode(LifecycleNode):
         self._warn(parameter_warnings(self.parameters))
         if self.parameters.checkpoint.path:
             checkpoint.require_place(Path(self.parameters.checkpoint.path).absolute())
-        warm_up(self.parameters, self._log.info)
+        warm_up(self._log.info, self._log.warning)
         self._engine = Engine(self.parameters)
         self._mailbox = Mailbox(self.parameters, time.monotonic_ns())
         self._commands = CommandReceiver(self, self._mailbox, self.parameters.joint_prefix)

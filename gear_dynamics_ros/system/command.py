@@ -26,21 +26,26 @@ def run_command(
     SIGNALLED + n for signal n, which ``command`` may note itself; else it is interrupted and cleans up.
     """
     arguments = parser.parse_args(argv)
+    return run_reporting(lambda: command(arguments), parser.prog)
+
+
+def run_reporting(act: Callable[[], int], program: str) -> int:
+    """Exit code of ``act``, or of the error that it raises, see ``run_command``."""
     try:
         with interruptible() if _on_main_thread() else nullcontext():
-            return command(arguments)
+            return act()
     except UsageError as error:
-        print(f"{parser.prog}: error: {error}", file=sys.stderr)
+        print(f"{program}: error: {error}", file=sys.stderr)
         return USAGE
     except BrokenPipeError:
         # The reader of stdout has closed it. Without this, Python reports the error again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILURE
     except (GearboxError, OSError) as error:
-        print(f"{parser.prog}: error: {error}", file=sys.stderr)
+        print(f"{program}: error: {error}", file=sys.stderr)
         return FAILURE
     except Interruption as interruption:
-        print(f"{parser.prog}: interrupted by {interruption}", file=sys.stderr)
+        print(f"{program}: interrupted by {interruption}", file=sys.stderr)
         return SIGNALLED + interruption.number
 
 
