@@ -13,6 +13,7 @@ from gear_dynamics_ros.cli.options import add_settings
 from gear_dynamics_ros.cli.progress import Progress, stderr_lines
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.parameters import Parameters, load_parameters, read_settings, updated
+from gear_dynamics_ros.parameters.decimals import exact_text
 from gear_dynamics_ros.simulation import checkpoint
 from gear_dynamics_ros.simulation.checkpoint import StoredCheckpoint
 from gear_dynamics_ros.system.command import SIGNALLED, run_command
@@ -100,7 +101,7 @@ def _duration(wanted: float | None, parameters: Parameters) -> float:
     duration = parameters.pacing.duration if wanted is None else wanted
     if not 0.0 < duration < math.inf:
         name = "pacing.duration" if wanted is None else "--duration"
-        raise UsageError(f"{name} = {duration:g} s: must be positive and finite; give --duration S")
+        raise UsageError(f"{name} = {exact_text(duration)} s: must be positive and finite; give --duration S")
     return duration
 
 

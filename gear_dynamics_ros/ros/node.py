@@ -24,6 +24,7 @@ from gear_dynamics_ros.physics import step_check
 from gear_dynamics_ros.physics.advice import parameter_warnings
 from gear_dynamics_ros.realtime.mailbox import Mailbox
 from gear_dynamics_ros.realtime.session import Session
+from gear_dynamics_ros.recording.ring import require_memory
 from gear_dynamics_ros.ros import diagnostics, node_topics
 from gear_dynamics_ros.ros.command_receiver import CommandReceiver
 from gear_dynamics_ros.ros.deferred_answers import AnswerSender, guard_services
@@ -33,6 +34,7 @@ from gear_dynamics_ros.simulation import checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.sinks import ViewerSink
 from gear_dynamics_ros.simulation.warm_up import warm_up
+from gear_dynamics_ros.system.memory import available_memory
 from gear_dynamics_ros.viewer import Viewer, open_viewer
 
 
@@ -129,6 +131,8 @@ class GearboxNode(LifecycleNode):
         self._warn(parameter_warnings(self.parameters))
         if self.parameters.checkpoint.path:
             checkpoint.require_place(Path(self.parameters.checkpoint.path).absolute())
+        if self.parameters.recording.path and self.parameters.recording.mode == "ring":
+            require_memory(self.parameters, available_memory())
         warm_up(self._log.info, self._log.warning)
         self._engine = Engine(self.parameters)
         self._mailbox = Mailbox(self.parameters, time.monotonic_ns())
