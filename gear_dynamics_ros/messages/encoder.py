@@ -99,7 +99,8 @@ class Encoder:
         if not len(chunk):
             return []
         time_ns = self._epoch_ns + chunk.last_ns
-        last = dict(zip(COLUMN, chunk.samples[-1].tolist(), strict=False))
+        # -0.0 is 0.0, which says more to a reader; the waveform keeps the bits.
+        last = dict(zip(COLUMN, (chunk.samples[-1] + 0.0).tolist(), strict=False))
         payloads = {
             "joint_states": self._joint_states(time_ns, last, chunk.angles[-1].tolist()),
             "dte": _float64(last["dte"]),

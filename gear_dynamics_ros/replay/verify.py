@@ -155,7 +155,7 @@ def _lost_files(recording: Recording) -> list[str]:
         listed = yaml.safe_load(path.read_text(encoding="utf-8"))[layout.INFORMATION][layout.FILES]
         return sorted({str(name) for name in listed} - {part.path.name for part in recording.parts})
     except (KeyError, OSError, TypeError, ValueError, RecursionError, yaml.YAMLError) as error:
-        raise GearboxError(f"{path} is damaged: {one_line(repr(error)):.200}") from error
+        raise GearboxError(f"{path} is damaged: {type(error).__name__}: {one_line(error):.200}") from error
 
 
 def _missing(recording: Recording, legs: Sequence[_Leg]) -> Mismatch | None:

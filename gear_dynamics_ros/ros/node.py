@@ -58,6 +58,7 @@ class GearboxNode(LifecycleNode):
         self._publishers_by_key: dict[str, Any] = {}
         self._engine: Engine | None = None
         self._viewer: Viewer | None = None
+        self._publisher: node_topics.PublisherSink | None = None
         self._mailbox = Mailbox(self.parameters, time.monotonic_ns())
         self._commands = CommandReceiver(self, self._mailbox, self.parameters.joint_prefix)
         self._session: Session | None = None
@@ -169,7 +170,8 @@ class GearboxNode(LifecycleNode):
     def _begin_session(self) -> Session:
         if self._engine is None:
             raise GearboxError("the gearbox is not configured: configure it first")
-        sinks: list[Any] = [node_topics.PublisherSink(self._publishers_by_key)]
+        self._publisher = node_topics.PublisherSink(self._publishers_by_key)
+        sinks: list[Any] = [self._publisher]
         if self._viewer is not None:
             sinks.append(ViewerSink(self._viewer))
         names = node_topics.node_names(self)
@@ -192,7 +194,7 @@ class GearboxNode(LifecycleNode):
                 self._log_recording_errors(session)
         elif self._viewer is not None:
             self._viewer.close()
-        self._viewer = self._engine = None
+        self._viewer = self._engine = self._publisher = None
         while self._cleanups:
             self._cleanups.pop()()
         self._publishers_by_key = {}
@@ -248,6 +250,8 @@ class GearboxNode(LifecycleNode):
         if session is None:
             return
         self._log_recording_errors(session)
+        if self._publisher is not None:
+            session.engine_thread.request(self._publisher.repeat_clock)
         pace = session.engine_thread.pace()
         speed = session.engine_thread.run.engine.commands.speed
         several = self._commands.topics_with_several_publishers()
