@@ -87,6 +87,7 @@ class Recorder:
     ) -> None:
         self._report = report
         self.path = Path(os.path.abspath(path))
+        layout.require_text(self.path.name)
         self._run = RunMetadata(
             provenance=current_provenance(),
             epoch_ns=epoch_ns,

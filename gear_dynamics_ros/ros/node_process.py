@@ -12,7 +12,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
 from gear_dynamics_ros.errors import UsageError, one_line
-from gear_dynamics_ros.ros.discovery import stay_local
+from gear_dynamics_ros.ros.discovery import start_failure, stay_local
 from gear_dynamics_ros.ros.node import GearboxNode
 from gear_dynamics_ros.simulation.warm_up import warm_up
 from gear_dynamics_ros.system.command import FAILURE, run_reporting
@@ -35,7 +35,7 @@ def _serve(argv: Sequence[str] | None, signals: Signals) -> int:
             args=None if argv is None else ["gearbox", *argv], signal_handler_options=SignalHandlerOptions.NO
         )
     except Exception as error:  # rclpy has no common class for errors of arguments and files
-        raise UsageError(f"ROS arguments: {one_line(error)}") from error
+        raise UsageError(f"ROS did not start: {start_failure(error)}") from error
     try:
         return _spin(signals)
     finally:

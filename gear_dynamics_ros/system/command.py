@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import sys
 import threading
@@ -15,6 +16,20 @@ from gear_dynamics_ros.system.processes import Interruption, interruptible
 FAILURE = 1
 USAGE = 2
 SIGNALLED = 128  # added to the number of the signal, as shells do
+
+
+def open_streams() -> None:
+    """Open /dev/null for stdin, stdout and stderr where the caller closed them.
+
+    Otherwise files opened later would get their numbers, and errors be written into these files.
+    """
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(number, True)
+    os.close(number)
+    sys.stdout = sys.stdout or open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # names of files may be no text
+    sys.stderr = sys.stderr or open(2, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
 
 
 def run_command(
