@@ -13,7 +13,7 @@ from gear_dynamics_ros.analysis.statistics import Statistics, bearing_force_name
 from gear_dynamics_ros.channels import CHANNELS, ENERGIES, GEARS
 from gear_dynamics_ros.chunk import Samples
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.physics.constants import base_radii
+from gear_dynamics_ros.physics.geometry import base_radii
 
 WINDOW_LENGTH: Final = 0.2  # s
 SETTLING_TIME: Final = 0.1  # s after a change that do not count as steady

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from gear_dynamics_ros.cli.progress import ProgressLine
-from gear_dynamics_ros.cli.ros import add_gearbox, full_name, needing_ros
+from gear_dynamics_ros.cli.ros import add_gearbox, full_name, needing_ros, split_ros_arguments
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.harness.junit import JunitReport
 from gear_dynamics_ros.harness.player import Player
@@ -24,7 +24,7 @@ def drive_main(argv: Sequence[str] | None = None) -> int:
     0 if the profile was played and every expectation held, 1 if not, 2 on bad usage, 128 + n if signal n
     interrupted it.
     """
-    own, ros = _split_arguments(sys.argv[1:] if argv is None else argv)
+    own, ros = split_ros_arguments(sys.argv[1:] if argv is None else argv)
     return run_command(partial(_drive, ros_arguments=ros), _parser(), own)
 
 
@@ -102,12 +102,6 @@ def _progress(player: Player) -> str:
         f"{player.time:6.2f} of {player.profile.duration:g} s  {commands}  expectations: "
         f"{len(over) - failed} passed, {failed} failed, {len(results) - len(over)} to come"
     )
-
-
-def _split_arguments(words: Sequence[str]) -> tuple[list[str], list[str]]:
-    """The command's own arguments, and those from --ros-args on."""
-    position = words.index("--ros-args") if "--ros-args" in words else len(words)
-    return list(words[:position]), list(words[position:])
 
 
 if __name__ == "__main__":

@@ -45,3 +45,12 @@ class Progress(ProgressLine):
     def __call__(self, done: int) -> None:
         """Show that ``done`` of the total is done."""
         self.show(lambda: f"{self._verb} {100 * done // self._total:3d} %")
+
+
+def stderr_lines(program: str) -> tuple[Callable[[str], None], Callable[[str], None]]:
+    """Functions that print what ``program`` says, and what it warns of, as a line on stderr each."""
+
+    def say(line: str) -> None:
+        print(f"{program}: {line}", file=sys.stderr)
+
+    return say, lambda line: say(f"warning: {line}")

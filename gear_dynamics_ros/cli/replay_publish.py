@@ -11,7 +11,7 @@ from typing import Any
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.cli.ros import add_gearbox, full_name, needing_ros
-from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.harness.player import Player
 from gear_dynamics_ros.harness.profile import step_profile
 from gear_dynamics_ros.replay import publish
@@ -62,7 +62,7 @@ def add_publish(verbs: Any) -> None:
 
 
 def _publish(arguments: argparse.Namespace) -> int:
-    bag = recording.open(arguments.bag)
+    bag = _opened(arguments.bag)
     if arguments.reset and not publish.starts_at_start_state(bag):
         print(
             f"replay: {bag.path} begins in the middle of a run, the gearbox at its start state: their "
@@ -70,6 +70,14 @@ def _publish(arguments: argparse.Namespace) -> int:
             file=sys.stderr,
         )
     return int(arguments.play(bag, arguments))
+
+
+def _opened(path: str) -> recording.Recording:
+    """The recording ``path``. Raises UsageError if it is none: nothing was asked of a gearbox yet."""
+    try:
+        return recording.open(path)
+    except GearboxError as error:
+        raise UsageError(str(error)) from error
 
 
 def _play_at_own_pace(bag: recording.Recording, arguments: argparse.Namespace) -> int:

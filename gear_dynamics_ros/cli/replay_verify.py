@@ -8,7 +8,7 @@ from typing import Any
 
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.cli.faults import warn_of_faults
-from gear_dynamics_ros.cli.progress import Progress
+from gear_dynamics_ros.cli.progress import Progress, stderr_lines
 from gear_dynamics_ros.system.command import FAILURE
 
 
@@ -36,9 +36,11 @@ def _verify(arguments: argparse.Namespace) -> int:
     # Imported here: loading the kernel takes time, and the other verbs do not need it.
     from gear_dynamics_ros.replay.verify import verify_recording
     from gear_dynamics_ros.simulation.provenance import provenance_differences
+    from gear_dynamics_ros.simulation.warm_up import warm_up
 
     bag = recording.open(arguments.bag)
     warn_of_faults("replay", bag)
+    warm_up(*stderr_lines("replay"))
     with Progress("verified", bag.end_sample - bag.first_sample) as progress:
         result = verify_recording(bag, arguments.start, progress)
     if result.difference is not None:

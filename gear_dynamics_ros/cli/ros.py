@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from gear_dynamics_ros.errors import GearboxError
@@ -33,6 +33,18 @@ def add_gearbox(parser: argparse.ArgumentParser) -> None:
 def full_name(node: str) -> str:
     """``node`` with a slash in front, which the user may leave out."""
     return node if node.startswith("/") else f"/{node}"
+
+
+def split_ros_arguments(words: Sequence[str]) -> tuple[list[str], list[str]]:
+    """The command's own arguments, and those for ROS: from each --ros-args to the next -- or the end."""
+    own: list[str] = []
+    ros: list[str] = []
+    for word in words:
+        if word == "--ros-args" or ros[-1:] not in ([], ["--"]):
+            ros.append(word)
+        else:
+            own.append(word)
+    return own, ros
 
 
 @contextmanager

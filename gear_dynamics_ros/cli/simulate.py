@@ -10,15 +10,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from gear_dynamics_ros.cli.options import add_settings
-from gear_dynamics_ros.cli.progress import Progress
+from gear_dynamics_ros.cli.progress import Progress, stderr_lines
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.parameters import Parameters, load_parameters, read_settings, updated
-from gear_dynamics_ros.physics.advice import parameter_warnings
-from gear_dynamics_ros.realtime.engine_thread import warm_up
-from gear_dynamics_ros.recording.offline import engine_from_checkpoint, simulate_to_recording
+from gear_dynamics_ros.parameters.decimals import exact_text
 from gear_dynamics_ros.simulation import checkpoint
 from gear_dynamics_ros.simulation.checkpoint import StoredCheckpoint
-from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.system.command import SIGNALLED, run_command
 from gear_dynamics_ros.system.processes import noted_signals
 from gear_dynamics_ros.system.share import share_file
@@ -55,9 +52,15 @@ def simulate_main(argv: Sequence[str] | None = None) -> int:
 def _simulate(arguments: argparse.Namespace) -> int:
     stored, parameters = _start(arguments)
     duration = _duration(arguments.duration, parameters)
+    # Imported here: loading the kernel takes time, which help and refused options need not wait for.
+    from gear_dynamics_ros.physics.advice import parameter_warnings
+    from gear_dynamics_ros.recording.offline import engine_from_checkpoint, simulate_to_recording
+    from gear_dynamics_ros.simulation.engine import Engine
+    from gear_dynamics_ros.simulation.warm_up import warm_up
+
     for line in parameter_warnings(parameters):
         print(f"simulate: warning: {line}", file=sys.stderr)
-    warm_up(parameters, lambda line: print(f"simulate: {line}", file=sys.stderr))
+    warm_up(*stderr_lines("simulate"))
     engine = Engine(parameters) if stored is None else engine_from_checkpoint(stored, parameters)
     samples = round(duration / parameters.solver.sample_interval)
     with noted_signals() as received, Progress("simulated", samples) as progress:
@@ -98,7 +101,7 @@ def _duration(wanted: float | None, parameters: Parameters) -> float:
     duration = parameters.pacing.duration if wanted is None else wanted
     if not 0.0 < duration < math.inf:
         name = "pacing.duration" if wanted is None else "--duration"
-        raise UsageError(f"{name} = {duration:g} s: must be positive and finite; give --duration S")
+        raise UsageError(f"{name} = {exact_text(duration)} s: must be positive and finite; give --duration S")
     return duration
 
 

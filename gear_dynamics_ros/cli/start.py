@@ -6,7 +6,7 @@ import signal
 import sys
 from importlib import import_module
 
-from gear_dynamics_ros.system.command import SIGNALLED
+from gear_dynamics_ros.system.command import SIGNALLED, open_streams
 
 
 def gearbox() -> int:
@@ -35,6 +35,7 @@ def analyze() -> int:
 
 
 def _run_main(name: str) -> int:
+    open_streams()
     try:
         return int(getattr(import_module(f"gear_dynamics_ros.cli.{name}"), f"{name}_main")())
     except KeyboardInterrupt:

@@ -20,6 +20,7 @@ from gear_dynamics_ros.harness.measures import (
     SettlingTime,
     Statistic,
 )
+from gear_dynamics_ros.parameters.decimals import exact_text
 
 CHANNEL_UNITS: Mapping[str, str] = {channel.name: channel.unit for channel in (*CHANNELS, *ENERGIES)}
 
@@ -64,11 +65,11 @@ class Expectation:
     def limits(self) -> str:
         """Limits in words."""
         if math.isinf(self.maximum):
-            limits = f">= {self.minimum:.6g}"
+            limits = f">= {exact_text(self.minimum)}"
         elif math.isinf(self.minimum):
-            limits = f"<= {self.maximum:.6g}"
+            limits = f"<= {exact_text(self.maximum)}"
         else:
-            limits = f"{self.minimum:.6g} to {self.maximum:.6g}"
+            limits = f"{exact_text(self.minimum)} to {exact_text(self.maximum)}"
         return f"{limits} {self.unit}".rstrip()
 
 
@@ -115,7 +116,7 @@ def _expectation(where: str, entry: object) -> Expectation:
     request = _PARSERS.get(key, _statistic)(tree, where)
     if key == "settling" and request.maximum > end - start:
         raise UsageError(
-            f"{where}.within is {request.maximum:g} s, longer than the window ({end - start:g} s): "
+            f"{where}.within is {exact_text(request.maximum)} s, longer than the window ({end - start:g} s): "
             "lengthen the window or shorten within"
         )
     name = fields.optional_text(tree, "name", where, f"{key} {tree[key]} {start:g} to {end:g} s")
@@ -165,5 +166,5 @@ def _limits(tree: Mapping[str, Any], where: str) -> tuple[float, float]:
         raise UsageError(f"{where} must have minimum, maximum or both, or else target and tolerance")
     minimum, maximum = given.get("minimum", -math.inf), given.get("maximum", math.inf)
     if minimum > maximum:
-        raise UsageError(f"{where}.minimum is {minimum:g}, above its maximum {maximum:g}")
+        raise UsageError(f"{where}.minimum is {exact_text(minimum)}, above its maximum {exact_text(maximum)}")
     return minimum, maximum

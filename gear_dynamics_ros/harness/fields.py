@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gear_dynamics_ros.errors import UsageError
+from gear_dynamics_ros.parameters.decimals import exact_text
 
 
 def require_mapping(value: object, where: str, keys: Sequence[str]) -> Mapping[str, Any]:
@@ -44,7 +45,7 @@ def require_not_negative(tree: Mapping[str, Any], key: str, where: str) -> float
     """The number >= 0 under ``key``."""
     value = require_number(tree, key, where)
     if value < 0.0:
-        raise UsageError(f"{where}.{key} is {value:g}, must be >= 0")
+        raise UsageError(f"{where}.{key} is {exact_text(value)}, must be >= 0")
     return value
 
 
@@ -52,7 +53,7 @@ def require_time(tree: Mapping[str, Any], key: str, where: str) -> float:
     """The time >= 0 s under ``key``."""
     value = require_number(tree, key, where)
     if value < 0.0:
-        raise UsageError(f"{where}.{key} is {value:g} s, must be >= 0")
+        raise UsageError(f"{where}.{key} is {exact_text(value)} s, must be >= 0")
     return value
 
 
@@ -60,7 +61,9 @@ def require_window(tree: Mapping[str, Any], where: str) -> tuple[float, float]:
     """The times in s under ``from`` and ``to``, of which the second must be later."""
     start, end = require_time(tree, "from", where), require_time(tree, "to", where)
     if end <= start:
-        raise UsageError(f"{where}.to is {end:g} s, must be later than its from, {start:g} s")
+        raise UsageError(
+            f"{where}.to is {exact_text(end)} s, must be later than its from, {exact_text(start)} s"
+        )
     return start, end
 
 

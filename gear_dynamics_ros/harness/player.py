@@ -11,6 +11,7 @@ from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.harness.expectations import Expectation
 from gear_dynamics_ros.harness.profile import Profile
 from gear_dynamics_ros.harness.results import Result, unreached
+from gear_dynamics_ros.parameters.decimals import exact_text
 
 
 class _WindowMeasurement:
@@ -127,8 +128,9 @@ class Player:
         for name, track in self.profile.commands.items():
             if track.highest_frequency > limit:
                 raise GearboxError(
-                    f"commands.{name} asks for {track.highest_frequency:g} Hz, but one command in each chunk "
-                    f"of {chunk:g} s carries at most {limit:g} Hz: lower it or shorten solver.chunk"
+                    f"commands.{name} asks for {exact_text(track.highest_frequency)} Hz, but one command in "
+                    f"each chunk of {exact_text(chunk)} s carries at most {exact_text(limit)} Hz: lower it "
+                    "or shorten solver.chunk"
                 )
 
     def _measure(self, times: NDArray[np.float64], samples: NDArray[np.float64]) -> None:

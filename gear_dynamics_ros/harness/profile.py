@@ -13,6 +13,7 @@ from gear_dynamics_ros.harness import fields
 from gear_dynamics_ros.harness.expectations import Expectation, parse_expectations
 from gear_dynamics_ros.harness.tracks import CommandTrack, RampPiece, parse_track
 from gear_dynamics_ros.parameters import Parameters, specifications
+from gear_dynamics_ros.parameters.decimals import exact_text
 from gear_dynamics_ros.parameters.rcl_yaml import parse_yaml
 
 ParameterSetting: TypeAlias = bool | int | float | str | list[float] | list[str]
@@ -59,10 +60,11 @@ def parse_profile(data: object, folder: Path) -> Profile:
     duration = fields.require_number(tree, "duration", "the profile") if "duration" in tree else last
     if duration < last:
         raise UsageError(
-            f"duration is {duration:g} s, but an entry ends at {last:g} s: make it at least that long"
+            f"duration is {exact_text(duration)} s, but an entry ends at {exact_text(last)} s: "
+            "make it at least that long"
         )
     if duration <= 0.0:
-        raise UsageError(f"duration is {duration:g} s, must be > 0")
+        raise UsageError(f"duration is {exact_text(duration)} s, must be > 0")
     description = fields.optional_text(tree, "description", "the profile", "")
     return Profile(
         description,

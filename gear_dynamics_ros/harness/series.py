@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.errors import UsageError
+from gear_dynamics_ros.parameters.decimals import exact_text
 
 TIME_COLUMN = "time"
 
@@ -79,10 +80,12 @@ def _pairs(rows: Iterator[Sequence[str]], column: str) -> Iterator[tuple[float, 
 def _require_later(time: float, earlier: float, line: int) -> None:
     if math.isinf(earlier) and time != 0.0:
         raise UsageError(
-            f"line {line}: the first time is {time:g} s, must be 0: count it from the entry's start"
+            f"line {line}: the first time is {exact_text(time)} s, must be 0: count it from the entry's start"
         )
     if time <= earlier:
-        raise UsageError(f"line {line}: time is {time:g} s, must be later than {earlier:g} s above")
+        raise UsageError(
+            f"line {line}: time is {exact_text(time)} s, must be later than {exact_text(earlier)} s above"
+        )
 
 
 def _finite(text: str, name: str, line: int) -> float:

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.harness import fields
 from gear_dynamics_ros.harness.series import INTERPOLATIONS, CommandSeries, Interpolation, load_series
+from gear_dynamics_ros.parameters.decimals import exact_text
 
 _STEP_KEYS = ("at", "value")
 _RAMP_KEYS = ("from", "to", "value", "amplitude", "frequency", "end_frequency")
@@ -138,8 +139,8 @@ def parse_track(command: str, entries: object, folder: Path) -> CommandTrack:
 def _require_order(where: str, piece: TrackPiece, previous: TrackPiece) -> None:
     if piece.start < previous.end or piece.start == previous.start:
         raise UsageError(
-            f"{where} starts at {piece.start:g} s, before the entry above ends "
-            f"({previous.start:g} to {previous.end:g} s): put the times in order"
+            f"{where} starts at {exact_text(piece.start)} s, before the entry above ends "
+            f"({exact_text(previous.start)} to {exact_text(previous.end)} s): put the times in order"
         )
 
 
@@ -190,7 +191,7 @@ def _ramp(where: str, tree: Mapping[str, Any], level: float | None) -> RampPiece
     )
     for key, hertz in (("frequency", frequency), ("end_frequency", end_frequency)):
         if hertz <= 0.0:
-            raise UsageError(f"{where}.{key} is {hertz:g} Hz, must be > 0")
+            raise UsageError(f"{where}.{key} is {exact_text(hertz)} Hz, must be > 0")
     return RampPiece(
         start, end, level, final, fields.require_number(tree, "amplitude", where), frequency, end_frequency
     )

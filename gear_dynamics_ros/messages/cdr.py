@@ -30,6 +30,15 @@ def message_class(type_name: str) -> Any:
     return TYPESTORE.types[type_name]
 
 
+def require_stampable(time_ns: int) -> None:
+    """Raise GearboxError if no stamp of ROS can hold ``time_ns``: its seconds have 32 bits."""
+    if not -(2**31) <= time_ns // 1_000_000_000 < 2**31:
+        raise GearboxError(
+            f"the time {time_ns / 1e9:.0f} s since 1970 does not fit into the stamps of ROS, which end at "
+            "2147483647 s (in January 2038): set the clock of this machine"
+        )
+
+
 def stamp(time_ns: int) -> Any:
     """builtin_interfaces/Time from an integer number of nanoseconds."""
     seconds, nanoseconds = divmod(time_ns, 1_000_000_000)

@@ -22,7 +22,7 @@ from gear_dynamics_ros.channels import (
     PACE,
 )
 from gear_dynamics_ros.chunk import Chunk, Commands, Counters
-from gear_dynamics_ros.messages.cdr import message_class, serialize, stamp
+from gear_dynamics_ros.messages.cdr import message_class, require_stampable, serialize, stamp
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.topics import ARRAY, CLOCK, JOINT_STATE, STRING, WRENCH
 
@@ -72,10 +72,14 @@ def joint_state(
 
 
 class Encoder:
-    """Makes the messages of one run. Stamps are ``epoch_ns`` plus simulated time, ns."""
+    """Makes the messages of one run. Stamps are ``epoch_ns`` plus simulated time, ns.
+
+    Raises GearboxError if ``epoch_ns`` is beyond the stamps of ROS.
+    """
 
     def __init__(self, parameters: Parameters, epoch_ns: int) -> None:
         prefix = parameters.joint_prefix
+        require_stampable(epoch_ns)
         self._epoch_ns = epoch_ns
         self._interval_ns = parameters.solver.sample_interval_ns
         self._shafts = (f"{prefix}driving", f"{prefix}driven")
@@ -99,7 +103,8 @@ class Encoder:
         if not len(chunk):
             return []
         time_ns = self._epoch_ns + chunk.last_ns
-        last = dict(zip(COLUMN, chunk.samples[-1].tolist(), strict=False))
+        # -0.0 is 0.0, which says more to a reader; the waveform keeps the bits.
+        last = dict(zip(COLUMN, (chunk.samples[-1] + 0.0).tolist(), strict=False))
         payloads = {
             "joint_states": self._joint_states(time_ns, last, chunk.angles[-1].tolist()),
             "dte": _float64(last["dte"]),

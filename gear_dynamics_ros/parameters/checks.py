@@ -15,7 +15,7 @@ from itertools import zip_longest
 from typing import Any, Final
 
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.parameters.decimals import exact_decimal
+from gear_dynamics_ros.parameters.decimals import exact_decimal, exact_text
 from gear_dynamics_ros.parameters.groups import (
     NANOSECOND,
     BearingPairParameters,
@@ -160,7 +160,7 @@ def check_mesh(mesh: MeshParameters) -> None:
     if amplitude >= 1.0:
         raise UsageError(
             f"the harmonics of mesh.stiffness_cos and mesh.stiffness_sin have a total amplitude of "
-            f"{amplitude:.6g}: it must be < 1, so that the stiffness stays positive: reduce them"
+            f"{exact_text(amplitude)}: it must be < 1, so that the stiffness stays positive: reduce them"
         )
 
 
@@ -171,8 +171,8 @@ def check_surface(surface: SurfaceParameters, gears: GearPairParameters) -> None
         if waves > MOST_WAVES_PER_REVOLUTION:
             raise UsageError(
                 f"surface.waves = {surface.waves}, surface.scale = {value_text(surface.scale)} and "
-                f"gears.{side}.teeth = {gear.teeth} make {waves:.3g} waves per revolution; the limit is "
-                f"{MOST_WAVES_PER_REVOLUTION}: reduce one of them"
+                f"gears.{side}.teeth = {gear.teeth} make {exact_text(waves)} waves per revolution; the "
+                f"limit is {MOST_WAVES_PER_REVOLUTION}: reduce one of them"
             )
 
 
@@ -249,6 +249,6 @@ def _check_multiple(name: str, value: float, unit: Fraction, units: str) -> None
         below = max(1, math.floor(ratio))
         nearest = " or ".join(value_text(float(count * unit)) for count in (below, below + 1))
         raise UsageError(
-            f"{name} = {value_text(value)} s is {float(ratio):.9g} {units}; it must be a whole number: "
-            f"set {nearest} s"
+            f"{name} = {value_text(value)} s is {exact_text(float(ratio))} {units}; it must be a whole "
+            f"number: set {nearest} s"
         )

@@ -11,3 +11,9 @@ def exact_decimal(value: float) -> Fraction:
     Raises ValueError if ``value`` is not finite.
     """
     return Fraction(repr(value))
+
+
+def exact_text(value: float) -> str:
+    """``value`` in as few characters as read back to it, so that a limit and what exceeds it differ."""
+    short = f"{value:.9g}"
+    return short if float(short) == value else repr(value)

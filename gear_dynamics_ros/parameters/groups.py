@@ -19,12 +19,6 @@ MOST_HARMONICS: Final = 32
 NANOSECOND: Final = Fraction(1, 10**9)  # s
 
 
-def _positive(default: float, help: str, *, unit: str, maximum: float, runtime: bool = False) -> Any:
-    return parameter(
-        default, help, unit=unit, minimum=0.0, exclusive_minimum=True, maximum=maximum, runtime=runtime
-    )
-
-
 def _harmonics(default: float, help: str, *, unit: str = "", limit: float) -> Any:
     return parameter(
         (default,),
@@ -42,26 +36,27 @@ class GearParameters:
     """One gear of the pair."""
 
     teeth: int = parameter(40, "number of teeth Z of this gear", minimum=5, maximum=1000)
-    mass: float = _positive(1.0, "mass m of this gear", unit="kg", maximum=1e6)
-    inertia: float = _positive(2.23e-3, "moment of inertia J about the shaft", unit="kg m^2", maximum=1e6)
+    mass: float = parameter(1.0, "mass m of this gear", unit="kg", minimum=1e-9, maximum=1e6)
+    inertia: float = parameter(
+        2.23e-3, "moment of inertia J about the shaft", unit="kg m^2", minimum=1e-15, maximum=1e6
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class GearPairParameters:
     """Geometry and inertia of the two gears."""
 
-    module: float = _positive(0.003, "module M of both gears", unit="m", maximum=1.0)
+    module: float = parameter(0.003, "module M of both gears", unit="m", minimum=1e-6, maximum=1.0)
     pressure_angle: float = parameter(
         0.3490658503988659,
         "nominal pressure angle alpha_0",
         unit="rad",
-        minimum=0.0,
-        exclusive_minimum=True,
+        minimum=1e-3,
         maximum=math.pi / 3.0,
         exclusive_maximum=True,
     )
-    backlash: float = _positive(
-        50.0e-6, "total backlash 2 b_0 along the line of action", unit="m", maximum=0.1
+    backlash: float = parameter(
+        50.0e-6, "total backlash 2 b_0 along the line of action", unit="m", minimum=1e-9, maximum=0.1
     )
     driving: GearParameters = field(default_factory=GearParameters)
     driven: GearParameters = field(default_factory=GearParameters)
@@ -71,7 +66,9 @@ class GearPairParameters:
 class MeshParameters:
     """Stiffness, damping and static transmission error of the mesh, as Fourier series in the mesh phase."""
 
-    stiffness: float = _positive(3.0e8, "mean mesh stiffness k_m", unit="N/m", maximum=1e13, runtime=True)
+    stiffness: float = parameter(
+        3.0e8, "mean mesh stiffness k_m", unit="N/m", minimum=1.0, maximum=1e13, runtime=True
+    )
     stiffness_cos: tuple[float, ...] = _harmonics(
         0.08,
         "cosine amplitudes of the stiffness at 1, 2, ... times the mesh frequency, relative to the mean",
@@ -151,7 +148,7 @@ class SurfaceParameters:
 class MaterialParameters:
     """Elastic material of one bearing part."""
 
-    youngs_modulus: float = _positive(210.0e9, "Young's modulus E", unit="Pa", maximum=1e14)
+    youngs_modulus: float = parameter(210.0e9, "Young's modulus E", unit="Pa", minimum=1.0, maximum=1e14)
     poissons_ratio: float = parameter(
         0.3, "Poisson's ratio nu", minimum=-1.0, exclusive_minimum=True, maximum=0.5
     )
@@ -161,22 +158,32 @@ class MaterialParameters:
 class BearingParameters:
     """Journal bearing of one gear."""
 
-    clearance: float = _positive(
+    clearance: float = parameter(
         27.0e-6,
         "radial clearance b_b at which shaft and sleeve touch; must be less than oil_clearance",
         unit="m",
+        minimum=1e-9,
         maximum=0.1,
     )
-    length: float = _positive(13.0e-3, "length L of the bearing", unit="m", maximum=10.0)
-    diameter: float = _positive(50.0e-3, "diameter D of the bearing", unit="m", maximum=10.0)
-    oil_clearance: float = _positive(
-        150.0e-6, "radial clearance C of the oil film; must be more than clearance", unit="m", maximum=0.1
+    length: float = parameter(13.0e-3, "length L of the bearing", unit="m", minimum=1e-6, maximum=10.0)
+    diameter: float = parameter(50.0e-3, "diameter D of the bearing", unit="m", minimum=1e-6, maximum=10.0)
+    oil_clearance: float = parameter(
+        150.0e-6,
+        "radial clearance C of the oil film; must be more than clearance",
+        unit="m",
+        minimum=1e-9,
+        maximum=0.1,
     )
     restitution: float = parameter(
         0.2, "coefficient of restitution eta of the contact", minimum=0.05, maximum=1.0, runtime=True
     )
-    kelvin_stiffness: float = _positive(
-        1.0e8, "contact stiffness k_b; used by model traditional only", unit="N/m", maximum=1e13, runtime=True
+    kelvin_stiffness: float = parameter(
+        1.0e8,
+        "contact stiffness k_b; used by model traditional only",
+        unit="N/m",
+        minimum=1.0,
+        maximum=1e13,
+        runtime=True,
     )
     kelvin_damping: float = parameter(
         2000.0,
@@ -194,10 +201,11 @@ class BearingPairParameters:
 
     shaft: MaterialParameters = field(default_factory=MaterialParameters)
     sleeve: MaterialParameters = field(default_factory=MaterialParameters)
-    minimum_impact_speed: float = _positive(
+    minimum_impact_speed: float = parameter(
         1.0e-3,
         "lower limit v_min of the impact speed in the contact law",
         unit="m/s",
+        minimum=1e-9,
         maximum=100.0,
         runtime=True,
     )
@@ -236,10 +244,11 @@ class GovernorParameters:
     integral: float = parameter(
         5.0, "integral gain of the speed governor", unit="N m/rad", minimum=0.0, maximum=1e9, runtime=True
     )
-    torque_limit: float = _positive(
+    torque_limit: float = parameter(
         200.0,
         "largest drive torque of the governor in either direction",
         unit="N m",
+        minimum=1e-9,
         maximum=1e6,
         runtime=True,
     )
@@ -288,10 +297,11 @@ class OperationParameters:
         maximum=1e6,
         runtime=True,
     )
-    speed_limit: float = _positive(
+    speed_limit: float = parameter(
         5000.0,
         "largest speed of either gear; the run ends when it is exceeded",
         unit="rad/s",
+        minimum=1e-6,
         maximum=1e6,
         runtime=True,
     )
@@ -395,8 +405,13 @@ class SteppingParameters:
         maximum=1_000_000,
         runtime=True,
     )
-    timeout: float = _positive(
-        10.0, "wall time after which a call of ~/step fails", unit="s", maximum=3600.0, runtime=True
+    timeout: float = parameter(
+        10.0,
+        "wall time after which a call of ~/step fails",
+        unit="s",
+        minimum=1e-6,
+        maximum=3600.0,
+        runtime=True,
     )
 
 
@@ -420,10 +435,11 @@ class RecordingParameters:
         "~/snapshot is called or a fault ends the run",
         choices=("continuous", "ring"),
     )
-    ring_duration: float = _positive(
+    ring_duration: float = parameter(
         5.0,
         "least simulated time in the ring; 1 s takes 23 MB of memory with the default parameters",
         unit="s",
+        minimum=1e-6,
         maximum=3600.0,
     )
     split_size: int = parameter(

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import field
 from typing import Any, NamedTuple, TypeAlias
 
+from gear_dynamics_ros.parameters.decimals import exact_text
 from gear_dynamics_ros.parameters.rcl_yaml import scalar_text
 
 Value: TypeAlias = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
@@ -35,9 +36,9 @@ class Specification(NamedTuple):
             return "one of " + ", ".join(self.choices)
         bounds = []
         if self.minimum is not None:
-            bounds.append(f"{'>' if self.exclusive_minimum else '>='} {self.minimum:.9g}")
+            bounds.append(f"{'>' if self.exclusive_minimum else '>='} {exact_text(self.minimum)}")
         if self.maximum is not None:
-            bounds.append(f"{'<' if self.exclusive_maximum else '<='} {self.maximum:.9g}")
+            bounds.append(f"{'<' if self.exclusive_maximum else '<='} {exact_text(self.maximum)}")
         return " and ".join(bounds)
 
 

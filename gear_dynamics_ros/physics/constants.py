@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.parameters import BearingParameters, Parameters
+from gear_dynamics_ros.physics.geometry import base_radii
 from gear_dynamics_ros.physics.kernel.records import CACHE_LINE, CONSTANTS, EXCITATIONS, SERIES_TERMS
 from gear_dynamics_ros.physics.kernel.waves import ERROR, ORDER, ROW_BLOCK, STIFFNESS, SURFACE, WAVE_ROWS
 from gear_dynamics_ros.physics.restitution import damping_factor
@@ -26,13 +27,6 @@ class Excitations(NamedTuple):
 
     waves: NDArray[np.float64]
     amplitudes: NDArray[np.float64]
-
-
-def base_radii(parameters: Parameters) -> tuple[float, float]:
-    """Base radii of driving and driven gear, m."""
-    gears = parameters.gears
-    half = 0.5 * gears.module * math.cos(gears.pressure_angle)
-    return half * gears.driving.teeth, half * gears.driven.teeth
 
 
 def hunting_turns(parameters: Parameters) -> int:

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from gear_dynamics_ros.parameters import BearingParameters, Parameters
-from gear_dynamics_ros.physics.constants import base_radii, film_factor, hertz_factor, mesh_damping
+from gear_dynamics_ros.physics.constants import film_factor, hertz_factor, mesh_damping
+from gear_dynamics_ros.physics.geometry import base_radii
 
 # Where RK4 becomes unstable: on an undamped oscillation and on a pure decay.
 OSCILLATION_LIMIT = 2.0 * math.sqrt(2.0)

@@ -13,20 +13,16 @@ from typing import TypeVar
 
 from gear_dynamics_ros.chunk import Chunk, Counters
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.messages.encoder import Encoder, Record
+from gear_dynamics_ros.messages.encoder import Record
 from gear_dynamics_ros.parameters import (
     OperationParameters,
     ParameterChange,
-    Parameters,
-    change_values,
 )
 from gear_dynamics_ros.realtime.mailbox import Delivery, Mailbox
 from gear_dynamics_ros.realtime.pacing import Pace, Pacer
-from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.system.threads import name_thread
 
-SLOW_START = 2.0  # s of wall time after which a log message explains a slow start
 T = TypeVar("T")
 
 
@@ -334,24 +330,3 @@ class EngineThread:
                 f"overrun: at {self.time:.9g} s a chunk was {late_ns * 1e-6:.3g} ms late and "
                 "pacing.on_overrun = 'error': lower pacing.real_time_factor or take 'slip'"
             )
-
-
-def warm_up(parameters: Parameters, log: Callable[[str], object]) -> None:
-    """Compile and load everything that a run uses, so that no chunk of a later run is delayed by it.
-
-    Calls ``log`` if it takes long, as it does when the kernel is compiled for the first time on a machine.
-    """
-    notice = threading.Timer(SLOW_START, log, ["compiling the kernel; only a first start takes this long"])
-    notice.daemon = True
-    began = time.perf_counter()
-    notice.start()
-    try:
-        run = Run(Engine(parameters), Encoder(parameters, 0))
-        run.step()
-        opposite = "hold" if parameters.operation.on_timeout == "release" else "release"
-        run.change(change_values(parameters, {"operation.on_timeout": opposite}))
-    finally:
-        notice.cancel()
-    elapsed = time.perf_counter() - began
-    if elapsed > SLOW_START:
-        log(f"compiled in {elapsed:.0f} s")

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.parameters import Parameters, specifications
+from gear_dynamics_ros.parameters.decimals import exact_text
 
 # Messages recorded between two chunk edges. Of more, the oldest are not recorded; they had no effect.
 MOST_RECEIVED = 1000
@@ -122,4 +123,7 @@ class Mailbox:
         lowest, highest = self._bounds[name]
         if lowest <= value <= highest:  # false for NaN
             return ""
-        return f"{name} {value:g} refused: not within {lowest:g} to {highest:g}; the last good one stays"
+        return (
+            f"{name} {exact_text(value)} refused: not within {exact_text(lowest)} to {exact_text(highest)}; "
+            "the last good one stays"
+        )

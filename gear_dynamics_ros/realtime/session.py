@@ -19,7 +19,7 @@ from gear_dynamics_ros.realtime.model_info import describe_model
 from gear_dynamics_ros.realtime.pacing import Pace
 from gear_dynamics_ros.realtime.recording_control import RecordingControl
 from gear_dynamics_ros.recording.recorder import Recorder
-from gear_dynamics_ros.recording.ring import Excerpt
+from gear_dynamics_ros.recording.ring import Excerpt, ring_size
 from gear_dynamics_ros.simulation import checkpoint
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint
 from gear_dynamics_ros.simulation.engine import Engine, require_resumable
@@ -106,7 +106,9 @@ class Session:
         """
         if self.parameters.recording.mode == "ring":
             self.recordings.arm()
-            return f"keeping the last {self.parameters.recording.ring_duration:g} s in memory"
+            megabytes = ring_size(self.parameters) / 1e6
+            duration = self.parameters.recording.ring_duration
+            return f"keeping the last {duration:g} s in memory, up to {megabytes:.0f} MB"
         return self._record(beside=beside)
 
     def report(self, pace: Pace, diagnostics: bytes) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
@@ -12,6 +13,7 @@ from typing import Any, Final, NamedTuple
 import yaml
 from mcap.records import Channel, Schema
 
+from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.messages.cdr import TYPESTORE
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.simulation.provenance import Provenance
@@ -106,6 +108,17 @@ def recorded_topics(parameters: Parameters, names: NodeNames) -> dict[str, tuple
     """The topics to record, with their full names, by key in TOPICS."""
     keys = {*parameters.recording.topics, *ALWAYS_RECORDED}
     return {key: (names.topic(key), topic) for key, topic in TOPICS.items() if key in keys}
+
+
+def require_text(name: str) -> None:
+    """Raise UsageError if the ``name`` of a recording is not UTF-8: metadata.yaml names its files."""
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        raise UsageError(
+            f"the name {os.fsencode(name)!r} of the recording is not UTF-8 text, which metadata.yaml needs: "
+            "choose another name"
+        ) from None
 
 
 def part_name(folder: Path, number: int) -> str:

@@ -11,7 +11,7 @@ from typing import BinaryIO, NamedTuple
 from mcap.records import AttachmentIndex
 from mcap.writer import MCAP0_MAGIC
 
-from gear_dynamics_ros.errors import GearboxError, UsageError
+from gear_dynamics_ros.errors import GearboxError, UsageError, one_line
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.layout import RunMetadata
 from gear_dynamics_ros.recording.mcap.index import FileIndex, read_index, read_metadata
@@ -156,9 +156,13 @@ def _open_part(path: Path) -> PartFile:
                 for name in (layout.PARAMETERS_ATTACHMENT, layout.START_ATTACHMENT)
             )
             text = parameters.decode()
-        except (KeyError, ValueError) as error:
+        except KeyError as error:
             raise GearboxError(
-                f"'{path}' was not recorded by this package, or its start is lost: {error}"
+                f"'{path}' was not recorded by this package, or its start is lost: it has no entry {error}"
+            ) from error
+        except ValueError as error:
+            raise GearboxError(
+                f"'{path}' was not recorded by this package, or its start is damaged: {one_line(error)}"
             ) from error
         stored = _stored(start, f"{path.name}: {layout.START_ATTACHMENT}")
         return PartFile(path, run, text, stored, path.stat().st_size, index)

@@ -88,6 +88,7 @@ class Recorder:
     ) -> None:
         self._report = report
         self.path = Path(os.path.abspath(path))
+        layout.require_text(self.path.name)
         provenance = current_provenance()
         origin = hashlib.sha256(StoredCheckpoint(start, provenance).to_text().encode())
         self._run = RunMetadata(

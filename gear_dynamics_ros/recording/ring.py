@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,8 +10,10 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from gear_dynamics_ros.chunk import Chunk
-from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.encoder import Record
+from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.parameters.decimals import exact_text
 from gear_dynamics_ros.recording import layout
 from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint
@@ -21,6 +24,10 @@ from gear_dynamics_ros.topics import DEFAULT_NAMES, TOPICS, NodeNames
 SEGMENTS: Final = 8
 # Messages given to the recorder at once; it checks the disk in between.
 BATCH: Final = 100
+# Bytes of memory for a chunk beside its waveform: the other messages, and the objects that hold all of them.
+CHUNK_SIZE: Final = 2500
+# Bytes of memory for the checkpoint of a segment.
+CHECKPOINT_SIZE: Final = 10_000
 
 
 @dataclass(slots=True)
@@ -58,6 +65,28 @@ class Excerpt(NamedTuple):
         if recorder.error is not None:
             raise GearboxError(recorder.error)
         return recorder.path
+
+
+def ring_size(parameters: Parameters) -> int:
+    """Most memory that a ring with these parameters takes, bytes."""
+    solver, recording = parameters.solver, parameters.recording
+    seconds = (1.0 + 1.0 / SEGMENTS) * recording.ring_duration + solver.chunk
+    waveform = 8 * len(parameters.waveform_channels) if "waveform" in recording.topics else 0
+    messages = seconds * (waveform / solver.sample_interval + CHUNK_SIZE / solver.chunk)
+    return round(messages) + (SEGMENTS + 2) * CHECKPOINT_SIZE
+
+
+def require_memory(parameters: Parameters, available: int) -> None:
+    """Raise UsageError if the ring would need more than ``available`` bytes of memory."""
+    size = ring_size(parameters)
+    if size > available:
+        duration = parameters.recording.ring_duration
+        fitting = math.floor(0.5 * duration * available / size)
+        raise UsageError(
+            f"recording.ring_duration = {exact_text(duration)} s needs up to {size / 1e9:.2f} GB of memory, "
+            f"{available / 1e9:.2f} GB are available: reduce it to {fitting} s, or record fewer "
+            "waveform_channels or recording.topics"
+        )
 
 
 class Ring:

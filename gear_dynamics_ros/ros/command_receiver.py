@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import Any
 
 from rclpy.node import Node
@@ -11,10 +12,11 @@ from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages.decoder import requested_changes
 from gear_dynamics_ros.realtime.mailbox import Mailbox
 from gear_dynamics_ros.ros import node_topics
-from gear_dynamics_ros.topics import COMMAND_TOPICS
+from gear_dynamics_ros.topics import COMMAND_TOPICS, JOINT_COMMAND
 
 WARNING_INTERVAL = 5.0  # s
-MOST_NAMES = 100  # of joints and topics in warnings
+MOST_NAMES = 1000  # of joints and topics in warnings
+MOST_SHOWN = 5  # of joints in one warning
 
 
 class CommandReceiver:
@@ -32,12 +34,12 @@ class CommandReceiver:
         try:
             message = node_topics.read_command(key, data)
         except GearboxError as error:
-            self._mailbox.refuse(str(error))
-            self._log.warning(str(error), throttle_duration_sec=WARNING_INTERVAL)
+            refusal = f"{node_topics.node_names(self._node).topic(key)}: {error}"
+            self._mailbox.refuse(refusal)
+            self._log.warning(refusal, throttle_duration_sec=WARNING_INTERVAL)
             return
         changes, unknown_joints = requested_changes(key, message, self._joint_prefix)
-        for name in unknown_joints:
-            self._warn_once(name, f"~/command/joint: joint '{name}' takes no commands (reported once)")
+        self._warn_of_joints(unknown_joints)
         refusal = self._mailbox.offer(key, changes, data, time.monotonic_ns())
         if refusal:
             self._log.warning(refusal, throttle_duration_sec=WARNING_INTERVAL)
@@ -53,6 +55,18 @@ class CommandReceiver:
                 f"{name} has several publishers: the last message before a chunk edge counts (reported once)",
             )
         return topics
+
+    def _warn_of_joints(self, names: Sequence[str]) -> None:
+        """Warn once of each joint without commands, of all new ones of a message in one line."""
+        new = [name for name in dict.fromkeys(names) if name not in self._warned]
+        new = new[: MOST_NAMES - len(self._warned)]
+        if new:
+            self._warned.update(new)
+            shown = ", ".join(f"'{name}'" for name in new[:MOST_SHOWN])
+            more = f" and {len(new) - MOST_SHOWN} more" if len(new) > MOST_SHOWN else ""
+            noun, verb = ("joint", "takes") if len(new) == 1 else ("joints", "take")
+            topic = node_topics.node_names(self._node).topic(JOINT_COMMAND)
+            self._log.warning(f"{topic}: {noun} {shown}{more} {verb} no commands (reported once)")
 
     def _warn_once(self, name: str, warning: str) -> None:
         if name not in self._warned and len(self._warned) < MOST_NAMES:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 
+from gear_dynamics_ros.errors import one_line
 from gear_dynamics_ros.system.share import share_file
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -17,6 +18,12 @@ DECIDING = (
     "ROS_LOCALHOST_ONLY",
     "ROS_STATIC_PEERS",
 )
+
+
+def start_failure(error: Exception) -> str:
+    """Why rclpy did not start, in a line, and what to do about a folder of logs that can't be made."""
+    remedy = ": set ROS_LOG_DIR to a folder that can be written to" if "log directory" in str(error) else ""
+    return f"{one_line(error)}{remedy}"
 
 
 def stay_local() -> None:

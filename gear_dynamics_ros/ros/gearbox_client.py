@@ -21,7 +21,7 @@ from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
 from gear_dynamics_ros.errors import GearboxError, UsageError, one_line
-from gear_dynamics_ros.ros.discovery import stay_local
+from gear_dynamics_ros.ros.discovery import start_failure, stay_local
 from gear_dynamics_ros.ros.node_topics import message_type, quality
 from gear_dynamics_ros.topics import TOPICS, full_topic_name
 
@@ -39,7 +39,7 @@ def ros_context(node: str, arguments: Sequence[str]) -> Iterator[Context]:
     try:
         rclpy.init(args=list(arguments), context=context, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # what rclpy raises on arguments it can't read
-        raise UsageError(f"ROS did not start: {one_line(error)}") from error
+        raise UsageError(f"ROS did not start: {start_failure(error)}") from error
     try:
         yield context
     except (InvalidTopicNameException, InvalidServiceNameException) as error:

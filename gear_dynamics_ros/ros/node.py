@@ -22,9 +22,9 @@ from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.parameters import ParameterChange, Parameters
 from gear_dynamics_ros.physics import step_check
 from gear_dynamics_ros.physics.advice import parameter_warnings
-from gear_dynamics_ros.realtime.engine_thread import warm_up
 from gear_dynamics_ros.realtime.mailbox import Mailbox
 from gear_dynamics_ros.realtime.session import Session
+from gear_dynamics_ros.recording.ring import require_memory
 from gear_dynamics_ros.ros import diagnostics, node_topics
 from gear_dynamics_ros.ros.command_receiver import CommandReceiver
 from gear_dynamics_ros.ros.deferred_answers import AnswerSender, guard_services
@@ -33,6 +33,8 @@ from gear_dynamics_ros.ros.runtime_parameters import RuntimeParameters
 from gear_dynamics_ros.simulation import checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.sinks import ViewerSink
+from gear_dynamics_ros.simulation.warm_up import warm_up
+from gear_dynamics_ros.system.memory import available_memory
 from gear_dynamics_ros.viewer import Viewer, open_viewer
 
 
@@ -56,6 +58,7 @@ class GearboxNode(LifecycleNode):
         self._publishers_by_key: dict[str, Any] = {}
         self._engine: Engine | None = None
         self._viewer: Viewer | None = None
+        self._publisher: node_topics.PublisherSink | None = None
         self._mailbox = Mailbox(self.parameters, time.monotonic_ns())
         self._commands = CommandReceiver(self, self._mailbox, self.parameters.joint_prefix)
         self._session: Session | None = None
@@ -129,7 +132,9 @@ class GearboxNode(LifecycleNode):
         self._warn(parameter_warnings(self.parameters))
         if self.parameters.checkpoint.path:
             checkpoint.require_place(Path(self.parameters.checkpoint.path).absolute())
-        warm_up(self.parameters, self._log.info)
+        if self.parameters.recording.path and self.parameters.recording.mode == "ring":
+            require_memory(self.parameters, available_memory())
+        warm_up(self._log.info, self._log.warning)
         self._engine = Engine(self.parameters)
         self._mailbox = Mailbox(self.parameters, time.monotonic_ns())
         self._commands = CommandReceiver(self, self._mailbox, self.parameters.joint_prefix)
@@ -165,7 +170,8 @@ class GearboxNode(LifecycleNode):
     def _begin_session(self) -> Session:
         if self._engine is None:
             raise GearboxError("the gearbox is not configured: configure it first")
-        sinks: list[Any] = [node_topics.PublisherSink(self._publishers_by_key)]
+        self._publisher = node_topics.PublisherSink(self._publishers_by_key)
+        sinks: list[Any] = [self._publisher]
         if self._viewer is not None:
             sinks.append(ViewerSink(self._viewer))
         names = node_topics.node_names(self)
@@ -188,7 +194,7 @@ class GearboxNode(LifecycleNode):
                 self._log_recording_errors(session)
         elif self._viewer is not None:
             self._viewer.close()
-        self._viewer = self._engine = None
+        self._viewer = self._engine = self._publisher = None
         while self._cleanups:
             self._cleanups.pop()()
         self._publishers_by_key = {}
@@ -244,6 +250,8 @@ class GearboxNode(LifecycleNode):
         if session is None:
             return
         self._log_recording_errors(session)
+        if self._publisher is not None:
+            session.engine_thread.request(self._publisher.repeat_clock)
         pace = session.engine_thread.pace()
         speed = session.engine_thread.run.engine.commands.speed
         several = self._commands.topics_with_several_publishers()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -10,13 +9,13 @@ import rclpy
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import remove_ros_args, try_shutdown
+from rclpy.utilities import try_shutdown
 
 from gear_dynamics_ros.errors import UsageError, one_line
-from gear_dynamics_ros.realtime.engine_thread import warm_up
-from gear_dynamics_ros.ros.discovery import stay_local
+from gear_dynamics_ros.ros.discovery import start_failure, stay_local
 from gear_dynamics_ros.ros.node import GearboxNode
-from gear_dynamics_ros.system.command import FAILURE, run_command
+from gear_dynamics_ros.simulation.warm_up import warm_up
+from gear_dynamics_ros.system.command import FAILURE, run_reporting
 from gear_dynamics_ros.system.processes import Parent, Signals
 from gear_dynamics_ros.system.threads import wake_punctually
 
@@ -25,20 +24,8 @@ SPIN = 1.0  # longest wait for callbacks, s; then the parent process is checked
 
 def run_gearbox_node(argv: Sequence[str] | None = None) -> int:
     """Run the node until it is stopped; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="gearbox",
-        description="The virtual gearbox as a ROS 2 node. Parameters: --ros-args --params-file FILE, "
-        "--ros-args -p name:=value.",
-    )
     signals = Signals()
-    return run_command(lambda _: _serve(argv, signals), parser, _own_arguments(argv))
-
-
-def _own_arguments(argv: Sequence[str] | None) -> list[str] | None:
-    try:
-        return remove_ros_args(None if argv is None else ["gearbox", *argv])[1:]
-    except Exception:  # wrong ROS arguments are reported when they are used
-        return []
+    return run_reporting(lambda: _serve(argv, signals), "gearbox")
 
 
 def _serve(argv: Sequence[str] | None, signals: Signals) -> int:
@@ -48,7 +35,7 @@ def _serve(argv: Sequence[str] | None, signals: Signals) -> int:
             args=None if argv is None else ["gearbox", *argv], signal_handler_options=SignalHandlerOptions.NO
         )
     except Exception as error:  # rclpy has no common class for errors of arguments and files
-        raise UsageError(f"ROS arguments: {one_line(error)}") from error
+        raise UsageError(f"ROS did not start: {start_failure(error)}") from error
     try:
         return _spin(signals)
     finally:
@@ -68,7 +55,7 @@ def _spin(signals: Signals) -> int:
     node = _node(stop)
     try:
         log: Any = node.get_logger()  # type: ignore[no-untyped-call]
-        warm_up(node.parameters, log.info)
+        warm_up(log.info, log.warning)
         signals.report_to(stop)
         executor.add_node(node)
         if node.parameters.autostart:

@@ -28,12 +28,25 @@ class PublisherSink:
 
     def __init__(self, publishers: Publishers) -> None:
         self._publishers = publishers
+        self._last_clock: bytes | None = None
+        self._clock_is_old = False
 
     def write(self, _: Chunk | None, records: Sequence[Record]) -> None:
         for record in records:
             publisher = self._publishers.get(record.topic)
             if publisher is not None:
                 publisher.publish(record.data)
+                if record.topic == "clock":
+                    self._last_clock, self._clock_is_old = record.data, False
+
+    def repeat_clock(self) -> None:
+        """Publish the last ``/clock`` again unless one came since the last call, as in a pause.
+
+        Who joins late and follows ``/clock`` would know no time. Call it on the thread of ``write``.
+        """
+        if self._clock_is_old and self._last_clock is not None:
+            self._publishers["clock"].publish(self._last_clock)
+        self._clock_is_old = True
 
     def close(self) -> None:
         """Do nothing: the node destroys its publishers."""
@@ -50,7 +63,7 @@ def create_publishers(node: Node, group: CallbackGroup, *, clock: bool) -> Itera
                 key,
                 node.create_publisher(
                     message_type(topic.type),
-                    topic.name,
+                    _expanded(node, topic),
                     quality(topic),
                     callback_group=group,
                     qos_overriding_options=QoSOverridingOptions.with_default_policies(),
@@ -66,7 +79,7 @@ def create_subscriptions(
         topic = TOPICS[key]
         yield node.create_subscription(
             message_type(topic.type),
-            topic.name,
+            _expanded(node, topic),
             partial(take, key),
             quality(topic),
             callback_group=group,
@@ -75,13 +88,18 @@ def create_subscriptions(
         )
 
 
+def _expanded(node: Node, topic: Topic) -> str:
+    """Full name of ``topic`` before remapping: rclpy's warnings have the name that it was given."""
+    return node.resolve_topic_name(topic.name, only_expand=True)
+
+
 def read_command(key: str, data: bytes) -> Any:
     """Message on the command topic ``key``, from CDR. Raises GearboxError if ``data`` is not one."""
     topic = TOPICS[key]
     try:
         return deserialize(topic.type, data)
     except GearboxError as error:
-        raise GearboxError(f"{topic.name}: message refused: {error}") from error
+        raise GearboxError(f"message refused: {error}") from error
 
 
 def node_names(node: Node) -> NodeNames:

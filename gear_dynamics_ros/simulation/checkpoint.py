@@ -7,6 +7,7 @@ time continues.
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -34,6 +35,7 @@ _PHYSICS_GROUPS: Final = (
     "operation",
     "solver",
 )
+_NAMES: Final = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 _EXCEPTIONS: Final = (
     "operation.command_timeout",  # depends on wall time, and so does the reaction
     "operation.on_timeout",
@@ -92,11 +94,11 @@ class StoredCheckpoint(NamedTuple):
         """JSON text."""
         content = {
             "format": FORMAT,
-            "checkpoint": self.checkpoint.to_tree(),
+            "checkpoint": {**self.checkpoint.to_tree(), "state": _named(self.checkpoint.state)},
             "provenance": self.provenance._asdict(),
             "digest": self.digest,
         }
-        return json.dumps(content, indent=1)
+        return json.dumps(content, indent=1, allow_nan=False)
 
     @classmethod
     def from_text(cls, text: str, name: str) -> StoredCheckpoint:
@@ -109,7 +111,7 @@ class StoredCheckpoint(NamedTuple):
             _require_format(content)
             provenance = _mapping(content["provenance"])
             return cls(
-                Checkpoint.from_tree(_mapping(content["checkpoint"])),
+                _checkpoint(_mapping(content["checkpoint"])),
                 Provenance(**{field: str(provenance[field]) for field in Provenance._fields}),
                 str(content["digest"]),
             )
@@ -202,6 +204,29 @@ def parameters_to_continue(stored: StoredCheckpoint, running: Parameters) -> Par
 def decides_physics(name: str) -> bool:
     """Whether the parameter ``name`` (dotted) influences how a state develops."""
     return name.split(".")[0] in _PHYSICS_GROUPS and name not in _EXCEPTIONS
+
+
+def _checkpoint(tree: Mapping[str, Any]) -> Checkpoint:
+    return Checkpoint.from_tree({**tree, "state": _unnamed(_mapping(tree["state"]))})
+
+
+def _named(value: Any) -> Any:
+    """``value`` with names for the numbers that JSON does not have: a run may end with them."""
+    if isinstance(value, Mapping):
+        return {key: _named(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_named(entry) for entry in value]
+    finite = not isinstance(value, float) or math.isfinite(value)
+    return value if finite else next(name for name, same in _NAMES.items() if repr(same) == repr(value))
+
+
+def _unnamed(value: Any) -> Any:
+    """Inverse of ``_named``."""
+    if isinstance(value, Mapping):
+        return {key: _unnamed(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_unnamed(entry) for entry in value]
+    return _NAMES.get(value, value) if isinstance(value, str) else value
 
 
 def _mapping(value: Any) -> dict[str, Any]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,8 +26,15 @@ from gear_dynamics_ros.parameters import (
     OperationParameters,
     ParameterChange,
     Parameters,
+    specifications,
 )
-from gear_dynamics_ros.physics.constants import aligned_zeros, excitation_table, kernel_constants
+from gear_dynamics_ros.parameters.decimals import exact_text
+from gear_dynamics_ros.physics.constants import (
+    aligned_zeros,
+    excitation_table,
+    hunting_turns,
+    kernel_constants,
+)
 from gear_dynamics_ros.physics.kernel import entry
 from gear_dynamics_ros.physics.kernel.records import CALL, POINT, STATE
 from gear_dynamics_ros.physics.kernel.substeps import IMPACTS_PER_STEP
@@ -196,9 +205,12 @@ class Engine:
 
     def _reason(self) -> str:
         if self.status is Status.OVER_SPEED:
-            fastest = np.abs(self._state["omega"]).max()
+            fastest = float(np.abs(self._state["omega"]).max())
             limit = self.parameters.operation.speed_limit
-            return f"over-speed: {fastest:.6g} rad/s exceeds operation.speed_limit = {limit:g} rad/s"
+            return (
+                f"over-speed: {exact_text(fastest)} rad/s exceeds operation.speed_limit = "
+                f"{exact_text(limit)} rad/s"
+            )
         if self.status is Status.NON_FINITE:
             return (
                 f"the state is no longer finite at t = {self.sample * self._interval_ns * 1e-9:.9g} s: "
@@ -214,10 +226,14 @@ class Engine:
 def require_resumable(checkpoint: Checkpoint) -> None:
     """Raise GearboxError where ``Engine.resume`` would."""
     require_running(checkpoint)
-    _kernel_state(checkpoint)
+    _require_possible(checkpoint, _kernel_state(checkpoint))
 
 
 _STATE_NAMES = STATE.names or ()
+# What some entries of the state may be; the others may be any finite number.
+_FLAGS = ("mesh_clamped", "contact", "clamped", "film_limited", "pressed")
+_NOT_NEGATIVE = ("contact_age", "peak_force2", "steps", "events", "capped", "impacts", "flank_changes")
+_COMMANDED = ("speed", "load_torque")
 
 
 def _kernel_state(checkpoint: Checkpoint) -> NDArray[Any]:
@@ -225,7 +241,50 @@ def _kernel_state(checkpoint: Checkpoint) -> NDArray[Any]:
     state = aligned_zeros((1,), STATE)
     try:
         for name in _STATE_NAMES:
-            state[name] = checkpoint.state[name]
-    except (KeyError, OverflowError, TypeError, ValueError) as error:
+            state[name] = _entry(name, checkpoint.state[name])
+    except (KeyError, TypeError, ValueError) as error:
         raise GearboxError(f"an entry of the checkpoint is missing or invalid: {error!r}") from error
     return state
+
+
+def _entry(name: str, value: Any) -> Any:
+    """``value`` of the entry ``name`` of the state: a number or two. Raises TypeError or ValueError."""
+    whole = STATE[name].base.kind == "i"
+    count = sum(STATE[name].shape)
+    numbers = value if count and isinstance(value, list) else [value]
+    if len(numbers) != max(count, 1) or (count and numbers is not value):
+        raise ValueError(f"{name} = {value!r:.40} must have {max(count, 1)} numbers")
+    for number in numbers:
+        if isinstance(number, bool) or not isinstance(number, int if whole else int | float):
+            raise TypeError(f"{name} = {number!r:.40} is not a {'whole ' if whole else ''}number")
+        if isinstance(number, int) and not -(2**63) <= number < 2**63:
+            raise ValueError(f"{name} = {number!r:.40} is too large")
+    return value
+
+
+def _require_possible(checkpoint: Checkpoint, state: NDArray[Any]) -> None:
+    """Raise GearboxError if a run can't have had this ``state``, the commands or the index of the sample."""
+    hunting = hunting_turns(checkpoint.parameters)
+    allowed: dict[str, Callable[[NDArray[Any]], Any]] = {
+        **dict.fromkeys(_FLAGS, lambda value: np.isin(value, (0, 1))),
+        **dict.fromkeys(_NOT_NEGATIVE, lambda value: value >= 0),
+        "flank": lambda value: np.isin(value, (-1, 0, 1)),
+        "impact_speed": lambda value: value > 0.0,
+        "nominal_turn": lambda value: (value >= 0.0) & (value <= 1.0),
+        "whole_turns": lambda value: (value >= 0) & (value < hunting),
+        **{name: partial(np.equal, getattr(checkpoint.commands, name)) for name in _COMMANDED},
+    }
+    for name in _STATE_NAMES:
+        value = state[name][0]
+        if not (np.isfinite(value).all() and np.all(allowed.get(name, np.isfinite)(value))):
+            raise GearboxError(
+                f"the checkpoint has {name} = {value.tolist()!r}, which no run has: it was changed, or is "
+                "damaged: take another one"
+            )
+    for name, command in checkpoint.commands._asdict().items():
+        row = specifications()[f"operation.{name}"]
+        if not (row.minimum or 0.0) <= command <= (row.maximum or 0.0):  # false for NaN
+            raise GearboxError(
+                f"the checkpoint has the command {name} = {exact_text(command)}: it must be {row.limits} "
+                f"{row.unit}: take another one"
+            )

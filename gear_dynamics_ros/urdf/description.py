@@ -13,7 +13,7 @@ from xml.etree import ElementTree as Xml
 
 from gear_dynamics_ros.messages.encoder import bearing_frame
 from gear_dynamics_ros.parameters import GEARBOX_NODE_NAME, Parameters, specifications
-from gear_dynamics_ros.physics.constants import base_radii
+from gear_dynamics_ros.physics.geometry import base_radii
 from gear_dynamics_ros.topics import TOPICS, full_topic_name
 
 HARDWARE_PLUGIN = "topic_based_ros2_control/TopicBasedSystem"

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gear_dynamics_ros import palette
 from gear_dynamics_ros.channels import COLUMN
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.physics.constants import base_radii
+from gear_dynamics_ros.physics.geometry import base_radii
 from gear_dynamics_ros.viewer import blueprint
 from gear_dynamics_ros.viewer.decimation import extreme_indices
 

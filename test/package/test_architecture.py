@@ -50,7 +50,6 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
         "simulation",
         "recording",
         "analysis",
-        "realtime",
         "replay",
         "reporting",
         "harness",

@@ -235,10 +235,11 @@ def test_entry_points_are_the_executables() -> None:
 @pytest.mark.parametrize("name", EXECUTABLES)
 def test_ctrl_c_while_a_command_is_loaded_is_told_in_a_line(tmp_path: Path, name: str) -> None:
     slow = "import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(60.0)\n"
-    (tmp_path / "numpy.py").write_text(slow)  # every command loads it
+    (tmp_path / "numpy.py").write_text(slow)  # every command loads it, the node beyond its help
+    arguments = [] if name == "gearbox" else ["--help"]
     script = Path(sys.executable).with_name(name)
     done = subprocess.run(
-        [script, "--help"], capture_output=True, text=True, timeout=120, env={"PYTHONPATH": str(tmp_path)}
+        [script, *arguments], capture_output=True, text=True, timeout=120, env={"PYTHONPATH": str(tmp_path)}
     )
     assert (done.returncode, done.stdout, done.stderr) == (130, "", f"{name}: interrupted by SIGINT\n")
 

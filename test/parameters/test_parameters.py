@@ -240,7 +240,7 @@ def test_names_of_every_ros_node_are_passed_over() -> None:
         ({"solver.sample_interval": 1.00005e-5}, ["solver.sample_interval", "10000.5 nanoseconds"]),
         (
             {"solver.step": 3e-6},
-            ["solver.sample_interval", "3.33333333 steps of 3.0e-06 s", "9.0e-06 or 1.2e-05"],
+            ["solver.sample_interval", "3.3333333333333335 steps of 3.0e-06 s", "9.0e-06 or 1.2e-05"],
         ),
         ({"solver.step": 2e-5}, ["solver.sample_interval", "0.5 steps"]),
         ({"solver.chunk": 1.5e-5}, ["solver.chunk = 1.5e-05", "1.5 samples"]),

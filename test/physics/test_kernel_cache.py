@@ -5,12 +5,16 @@ from __future__ import annotations
 import ast
 import json
 import os
+import pickle
+import resource
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numba
 import pytest
 
 import gear_dynamics_ros
@@ -37,6 +41,114 @@ hits = sum(evaluate_state.stats.cache_hits.values())
 force = points[HERE]["film_x"].tobytes().hex()
 print(json.dumps({"hits": hits, "force": force, "path": gear_dynamics_ros.__file__}))
 """
+
+
+# Whatever is wrong with the cache of this one would be wrong with that of the kernel, and it compiles fast.
+ENTRY = """
+from gear_dynamics_ros.physics.kernel.compiling import entry_point
+
+
+@entry_point
+def double(x):
+    return x + x
+
+
+print(double(2.0), len(double.stats.cache_hits))
+"""
+
+
+class SmallKernel(NamedTuple):
+    """A module with one entry point, and an empty home."""
+
+    folder: Path
+
+    @property
+    def cache(self) -> Path:
+        return self.folder / "__pycache__"
+
+    def run(self, **environment: str) -> tuple[str, str]:
+        """What a process that calls it prints: result and hits of the cache, and what it logs."""
+        home = str(self.folder / "home")
+        done = subprocess.run(
+            [sys.executable, str(self.folder / "small.py")],
+            env=os.environ | {"HOME": home, "XDG_CACHE_HOME": home} | environment,
+            capture_output=True,
+            text=True,
+            timeout=120,
+            preexec_fn=self._limit_files if "FULL" in environment else None,
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout.strip(), done.stderr
+
+    @staticmethod
+    def _limit_files() -> None:
+        """No file may grow beyond 1000 bytes: as on a full disk, a write ends in an OSError."""
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> SmallKernel:
+    kernel = SmallKernel(tmp_path / "small")
+    (kernel.folder / "home").mkdir(parents=True)
+    (kernel.folder / "small.py").write_text(ENTRY, encoding="utf-8")
+    return kernel
+
+
+def test_nowhere_to_keep_the_kernel_is_one_line(small: SmallKernel) -> None:
+    small.cache.touch()
+    (small.folder / "home").rmdir()
+    (small.folder / "home").touch()
+    result, log = small.run()
+    assert result == "4.0 0" and log.count("\n") == 1
+    assert str(small.cache) in log and "every start compiles it anew; set NUMBA_CACHE_DIR" in log
+    (small.folder / "elsewhere").mkdir()
+    elsewhere = str(small.folder / "elsewhere")
+    assert small.run(NUMBA_CACHE_DIR=elsewhere) == ("4.0 0", "")
+    assert small.run(NUMBA_CACHE_DIR=elsewhere) == ("4.0 1", "")
+
+
+def test_a_full_disk_is_one_line(small: SmallKernel) -> None:
+    result, log = small.run(FULL="")
+    assert result == "4.0 0" and log.count("\n") == 1
+    assert "(File too large): every start compiles it anew; set NUMBA_CACHE_DIR" in log
+    assert small.run() == ("4.0 0", "")
+
+
+def cut_to_nothing(path: Path) -> None:
+    os.truncate(path, 0)
+
+
+def cut_to_half(path: Path) -> None:
+    os.truncate(path, path.stat().st_size // 2)
+
+
+def replace_by_another(path: Path) -> None:
+    path.write_bytes(pickle.dumps(numba.__version__) + pickle.dumps(7))
+
+
+@pytest.mark.parametrize(
+    ("suffix", "damage"),
+    [("nbi", cut_to_nothing), ("nbc", cut_to_half), ("nbi", replace_by_another)],
+)
+def test_a_damaged_cache_is_one_line_and_is_replaced(
+    small: SmallKernel, suffix: str, damage: Callable[[Path], None]
+) -> None:
+    assert small.run() == ("4.0 0", "")
+    (path,) = small.cache.glob(f"*.{suffix}")
+    damage(path)
+    result, log = small.run()
+    assert result == "4.0 0" and log.count("\n") == 1
+    assert f"in '{small.cache}' is damaged (" in log and "NUMBA_CACHE_DIR" in log
+    assert small.run() == ("4.0 1", "")
+
+
+def test_a_cache_that_can_only_be_read_is_read(small: SmallKernel) -> None:
+    assert small.run() == ("4.0 0", "")
+    (small.folder / "home").rmdir()
+    (small.folder / "home").touch()
+    # Root may write anywhere: leave out the places where it could.
+    unwritable = "gear_dynamics_ros.physics.kernel.compiling._UnwritableLocator"
+    assert small.run(NUMBA_CACHE_LOCATOR_CLASSES=unwritable) == ("4.0 1", "")
 
 
 class Copy(NamedTuple):

@@ -75,3 +75,6 @@ def test_a_burst_keeps_the_last_value_and_a_bounded_number_of_messages(mailbox):
 def test_a_new_speed_limit_bounds_the_commands_that_follow(mailbox):
     mailbox.limit(Parameters.from_flat({"operation.speed": 10.0, "operation.speed_limit": 20.0}))
     assert "not within -20 to 20" in mailbox.offer("speed_command", {"speed": 21.0}, b"", 5)
+    assert "speed 20.0000001 refused: not within" in mailbox.offer(
+        "speed_command", {"speed": 20.0000001}, b"", 5
+    )

@@ -153,7 +153,9 @@ def test_what_is_no_message_is_refused_and_counted(client: Client, node: Process
     client.until(lambda: client.publishers["load_torque_command"].get_subscription_count() > 0)
     client.publishers["load_torque_command"].publish(b"\x00\x01\x00\x00\x01")
     client.until(lambda: refused(client) == before + 1)
-    assert "~/command/load_torque: message refused: not valid CDR of std_msgs/msg/Float64" in node.output
+    assert (
+        "/gearbox/command/load_torque: message refused: not valid CDR of std_msgs/msg/Float64" in node.output
+    )
 
 
 def test_diagnostics_tell_every_task(client: Client) -> None:

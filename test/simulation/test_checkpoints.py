@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import resource
 from contextlib import suppress
 from pathlib import Path
@@ -209,3 +210,90 @@ def test_a_damaged_state_in_an_intact_file_is_refused(
     words = ["--from-checkpoint", str(file), "--duration", "0.005", "--output", str(tmp_path / "bag")]
     assert simulate(words) == 1
     assert "an entry of the checkpoint is missing or invalid: KeyError('u')" in capsys.readouterr().err
+
+
+IMPOSSIBLE: list[tuple[str, Any]] = [
+    ("u", None),
+    ("u", "1.0"),
+    ("u", True),
+    ("u", [1.0]),
+    ("u", float("nan")),
+    ("omega", 1.0),
+    ("omega", [1.0, 2.0, 3.0]),
+    ("omega", [1.0, [2.0]]),
+    ("omega", [1.0, float("inf")]),
+    ("flank", 2.0),
+    ("flank", 0.5),
+    ("contact", [1.0, 0.1]),
+    ("impact_speed", [0.0, 1.0]),
+    ("contact_age", [-1.0, 0.0]),
+    ("nominal_turn", 1.5),
+    ("whole_turns", 1 << 40),
+    ("whole_turns", -1),
+    ("steps", 1.5),
+    ("steps", 1 << 70),
+    ("impacts", -3),
+    ("pressed", 7),
+    ("speed", 1400.0),
+]
+
+
+@pytest.mark.parametrize(("name", "value"), IMPOSSIBLE, ids=str)
+def test_a_state_that_no_run_has_is_refused(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, value: Any
+) -> None:
+    content = json.loads(file.read_text())
+    content["checkpoint"]["state"][name] = value
+    file.write_text(json.dumps(content))
+    words = ["--from-checkpoint", str(file), "--duration", "0.005", "--output", str(tmp_path / "bag")]
+    assert simulate(words) == 1
+    error = capsys.readouterr().err
+    assert name in error and error.count("\n") == 1 and not (tmp_path / "bag").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("speed", 2e6), ("load_torque", 1e300), ("drive_torque", math.nan)]
+)
+def test_a_command_that_is_out_of_range_is_refused(file: Path, name: str, value: float) -> None:
+    content = json.loads(file.read_text())
+    tree = content["checkpoint"]
+    tree["commands"][name] = value
+    if name in tree["state"] and name != "drive_torque":
+        tree["state"][name] = value
+    file.write_text(json.dumps(content))
+    saved = checkpoint.load_checkpoint(file)
+    engine = Engine(saved.checkpoint.parameters)
+    before = engine.checkpoint()
+    with pytest.raises(GearboxError, match=f"{name} = "):
+        engine.resume(saved.checkpoint)
+    assert engine.checkpoint() == before
+
+
+ODD = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.text(max_size=3),
+    st.integers(),
+    st.floats(),
+    st.lists(st.floats(), max_size=3),
+)
+
+
+@given(st.data())
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_file_edited_anywhere_is_refused_or_goes_on(file: Path, data: st.DataObject) -> None:
+    tree = checkpoint.load_checkpoint(file).checkpoint.to_tree()
+    section = data.draw(st.sampled_from(sorted(tree)))
+    if isinstance(tree[section], dict):
+        tree[section] = dict(tree[section])
+        tree[section][data.draw(st.sampled_from(sorted(tree[section])))] = data.draw(ODD)
+    else:
+        tree[section] = data.draw(ODD)
+    try:
+        edited = checkpoint.Checkpoint.from_tree(tree)
+        engine = Engine(edited.parameters)
+        engine.resume(edited)
+    except GearboxError as error:
+        assert "\n" not in str(error)
+        return
+    assert len(engine.advance(3)) == 3 or engine.status
