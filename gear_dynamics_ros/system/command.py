@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.system.processes import Interruption, interruptible
+from gear_dynamics_ros.system.processes import Interruption, end_with_ros2, interruptible
 
 FAILURE = 1
 USAGE = 2
@@ -23,8 +23,10 @@ def run_command(
     """Parse ``argv`` and run ``command``; returns its exit code.
 
     If it raises an error: USAGE for UsageError, FAILURE for GearboxError, OSError and a closed stdout,
-    SIGNALLED + n for signal n, which ``command`` may note itself; else it is interrupted and cleans up.
+    SIGNALLED + n for signal n, which ``command`` may note itself; else it is interrupted and cleans up. The
+    end of a ``ros2`` command that started this program counts as SIGTERM.
     """
+    end_with_ros2()
     arguments = parser.parse_args(argv)
     try:
         with interruptible() if _on_main_thread() else nullcontext():
