@@ -61,9 +61,9 @@ def play_script(
     """Play ``script`` to the gearbox with the full name ``node``; ``watch`` gets the time played, ns.
 
     Waits ``wait`` s for the gearbox to be ready, not counting its start, then at most ``timeout`` s for
-    each answer. SIGINT and SIGTERM interrupt it; call it on the main thread. At the end, also after a failure,
-    the gearbox runs or is paused as before. Raises UsageError on an invalid name, and if a step of the script lies
-    within a chunk.
+    each answer. SIGINT and SIGTERM interrupt it; call it on the main thread. At the end, also after a
+    failure, the gearbox runs or is paused as before. Raises UsageError on an invalid name, and if a step of
+    the script lies within a chunk.
     """
     with noted_signals() as received, ros_context(node, ros_arguments) as context:
         player = _ScriptClient(context, script, node, timeout, watch, received)
