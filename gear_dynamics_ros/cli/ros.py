@@ -19,7 +19,7 @@ def add_gearbox(parser: argparse.ArgumentParser) -> None:
         type=_seconds,
         default=20.0,
         metavar="S",
-        help="wall seconds to wait for the gearbox (default: %(default)g)",
+        help="wall seconds to wait for the gearbox, its start not counted (default: %(default)g)",
     )
     parser.add_argument(
         "--timeout",

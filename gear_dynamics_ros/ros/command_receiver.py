@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from rclpy.node import Node
 
@@ -12,11 +12,18 @@ from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages.decoder import requested_changes
 from gear_dynamics_ros.realtime.mailbox import Mailbox
 from gear_dynamics_ros.ros import node_topics
-from gear_dynamics_ros.topics import COMMAND_TOPICS, JOINT_COMMAND
+from gear_dynamics_ros.topics import COMMAND_TOPICS, JOINT_COMMAND, TOPICS
 
 WARNING_INTERVAL = 5.0  # s
 MOST_NAMES = 1000  # of joints and topics in warnings
 MOST_SHOWN = 5  # of joints in one warning
+
+
+class CommandPublishers(NamedTuple):
+    """What is odd about the publishers of commands."""
+
+    several: Sequence[str]  # full names of topics with several publishers
+    wrong_type: Sequence[str]  # such topics and the types, as "/gearbox/command/speed: std_msgs/msg/Float32"
 
 
 class CommandReceiver:
@@ -44,17 +51,29 @@ class CommandReceiver:
         if refusal:
             self._log.warning(refusal, throttle_duration_sec=WARNING_INTERVAL)
 
-    def topics_with_several_publishers(self) -> list[str]:
-        """Full names of the command topics that have several publishers."""
+    def publishers(self) -> CommandPublishers:
+        """Command topics whose publishers need a look; a warning the first time."""
         names = node_topics.node_names(self._node)
-        commands = [names.topic(key) for key in COMMAND_TOPICS]
-        topics = [name for name in commands if self._node.count_publishers(name) > 1]
-        for name in topics:
-            self._warn_once(
-                name,
-                f"{name} has several publishers: the last message before a chunk edge counts (reported once)",
-            )
-        return topics
+        several: list[str] = []
+        wrong_type: list[str] = []
+        for key in COMMAND_TOPICS:
+            name, wanted = names.topic(key), TOPICS[key].type
+            types = [publisher.topic_type for publisher in self._node.get_publishers_info_by_topic(name)]
+            if types.count(wanted) > 1:
+                several.append(name)
+                self._warn_once(
+                    name,
+                    f"{name} has several publishers: the last message before a chunk edge counts "
+                    "(reported once)",
+                )
+            for other in sorted(set(types) - {wanted}):
+                wrong_type.append(f"{name}: {other}")
+                self._warn_once(
+                    wrong_type[-1],
+                    f"{name} has a publisher of {other}, whose messages do not arrive: publish {wanted} "
+                    "(reported once)",
+                )
+        return CommandPublishers(several, wrong_type)
 
     def _warn_of_joints(self, names: Sequence[str]) -> None:
         """Warn once of each joint without commands, of all new ones of a message in one line."""

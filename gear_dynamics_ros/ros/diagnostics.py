@@ -17,6 +17,7 @@ from gear_dynamics_ros.realtime.mailbox import CommandCounts
 from gear_dynamics_ros.realtime.pacing import Pace
 from gear_dynamics_ros.realtime.session import Session
 from gear_dynamics_ros.recording.recorder import RecorderStats
+from gear_dynamics_ros.ros.command_receiver import CommandPublishers
 from gear_dynamics_ros.simulation.run_state import RunState
 from gear_dynamics_ros.viewer import Viewer
 
@@ -44,7 +45,7 @@ class CommandHealth(NamedTuple):
 
     counts: CommandCounts
     in_force: Commands
-    several_publishers: Sequence[str]  # command topics that have several
+    publishers: CommandPublishers
     timed_out: bool
 
 
@@ -87,11 +88,11 @@ class Health(NamedTuple):
 
 
 def collect_health(
-    session: Session, pace: Pace, viewer: Viewer | None, several_publishers: Sequence[str]
+    session: Session, pace: Pace, viewer: Viewer | None, publishers: CommandPublishers
 ) -> Health:
     """Collect the state of ``session`` and of everything that serves it.
 
-    ``pace`` is since the last report; ``several_publishers`` are command topics with several publishers.
+    ``pace`` is since the last report; ``publishers`` are those of commands.
     """
     thread = session.engine_thread
     counts = thread.mailbox.counts(time.monotonic_ns())
@@ -99,7 +100,7 @@ def collect_health(
         run=RunHealth(session.state, thread.active, thread.time),
         pace=pace,
         requested_factor=session.parameters.pacing.real_time_factor,
-        commands=CommandHealth(counts, thread.run.engine.commands, several_publishers, thread.timed_out),
+        commands=CommandHealth(counts, thread.run.engine.commands, publishers, thread.timed_out),
         counters=thread.counters,
         condition=session.condition.report(),
         recorder=_recorder_health(session),
@@ -207,14 +208,17 @@ def _commands(commands: CommandHealth) -> _Task:
         "refused": counts.refused,
         "unrecorded": counts.unrecorded,
         "last refusal": counts.last_refusal,
-        "several publishers": ", ".join(commands.several_publishers),
+        "several publishers": ", ".join(commands.publishers.several),
+        "publishers of another type": ", ".join(commands.publishers.wrong_type),
     }
     for name, value in commands.in_force._asdict().items():
         values[f"{name} ({UNITS[name]})"] = f"{value:.9g}"
         values[f"{name} age (s)"] = f"{counts.ages[name]:.3f}"
     if commands.timed_out:
         return WARN, "no command within operation.command_timeout", values
-    if commands.several_publishers:
+    if commands.publishers.wrong_type:
+        return WARN, "a publisher of commands has another type: its messages do not arrive", values
+    if commands.publishers.several:
         return (
             WARN,
             "several publishers on a command: of their messages the last before an edge counts",

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import rclpy
+from lifecycle_msgs.srv import GetState
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.context import Context
 from rclpy.exceptions import InvalidServiceNameException, InvalidTopicNameException
@@ -26,6 +27,8 @@ from gear_dynamics_ros.ros.node_topics import message_type, quality
 from gear_dynamics_ros.topics import TOPICS, full_topic_name
 
 POLL = 0.1  # s of wall time between two checks for a signal
+ASK = 1.0  # s of wall time between two questions whether the gearbox has started
+SLOW_START = 5.0  # s of wall time after which a log message says that the gearbox is starting
 
 
 @contextmanager
@@ -71,6 +74,12 @@ class GearboxClient(ABC):
         self._parameters: Any = self._ros.create_client(
             SetParametersAtomically, f"{gearbox}/set_parameters_atomically"
         )
+        self._start = _StartWatch(self._ros, gearbox)
+
+    @property
+    def _seen(self) -> bool:
+        """Whether a node with the name of the gearbox was in the graph."""
+        return self._start.seen
 
     @abstractmethod
     def _progress(self) -> str:
@@ -82,6 +91,23 @@ class GearboxClient(ABC):
         return self._ros.create_subscription(
             message_type(topic.type), full_topic_name(topic, self._name), take, quality(topic)
         )
+
+    def _await_gearbox(self, ready: Callable[[], bool], wait: float) -> bool:
+        """Serve callbacks until ``ready`` holds; returns False if it does not within ``wait`` s.
+
+        The time in which the gearbox starts does not count: a first start compiles the kernel. Raises
+        GearboxError if the gearbox disappears.
+        """
+        left, last = wait, time.monotonic()
+        while not ready():
+            if left <= 0.0:
+                return False
+            self._spin(left)
+            now = time.monotonic()
+            if not self._start.in_progress():
+                left -= now - last
+            last = now
+        return True
 
     def _until(self, condition: Callable[[], bool], longest: float) -> bool:
         """Serve callbacks until ``condition`` holds; returns False if it does not within ``longest`` s."""
@@ -131,6 +157,48 @@ class GearboxClient(ABC):
     def _signal(self, failure: str) -> int:
         """Number of the signal that caused ``failure``; 0 if none did, or ``failure`` is empty."""
         return self._received[0] if failure and self._received else 0
+
+
+class _StartWatch:
+    """Tells whether a gearbox is starting: it is in the graph, and answers no request yet."""
+
+    def __init__(self, node: Node, gearbox: str) -> None:
+        self._ros = node
+        self._name = gearbox
+        self._state: Any = node.create_client(GetState, f"{gearbox}/get_state")
+        self._seen_at = 0.0  # wall time, as the other; 0 for never
+        self._asked_at = 0.0
+        self._answered = self._told = False
+
+    @property
+    def seen(self) -> bool:
+        """Whether the gearbox was in the graph."""
+        return self._seen_at > 0.0
+
+    def in_progress(self) -> bool:
+        """Whether the gearbox is starting. Raises GearboxError if it was in the graph and no longer is."""
+        if not self._is_in_graph():
+            if self.seen:
+                raise GearboxError(f"{self._name} disappeared before it was ready: see its log")
+            return False
+        now = time.monotonic()
+        self._seen_at = self._seen_at or now
+        if self._answered:
+            return False
+        if now - self._asked_at > ASK and self._state.service_is_ready():
+            self._asked_at = now
+            self._state.call_async(GetState.Request()).add_done_callback(self._note_answer)
+        if now - self._seen_at > SLOW_START and not self._told:
+            self._told = True
+            self._ros.get_logger().info(f"{self._name} is starting, waiting until it answers: see its log")
+        return True
+
+    def _note_answer(self, _: object) -> None:
+        self._answered = True
+
+    def _is_in_graph(self) -> bool:
+        nodes = self._ros.get_node_names_and_namespaces()
+        return self._name in (f"{namespace.rstrip('/')}/{name}" for name, namespace in nodes)
 
 
 def not_seen(gearbox: str, wait: float) -> str:

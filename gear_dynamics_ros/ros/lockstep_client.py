@@ -60,9 +60,10 @@ def play_script(
 ) -> ScriptOutcome:
     """Play ``script`` to the gearbox with the full name ``node``; ``watch`` gets the time played, ns.
 
-    Waits ``wait`` s for the gearbox to be ready, then at most ``timeout`` s for each answer. SIGINT and
-    SIGTERM interrupt it; call it on the main thread. At the end, also after a failure, the gearbox runs or is
-    paused as before. Raises UsageError on an invalid name, and if a step of the script lies within a chunk.
+    Waits ``wait`` s for the gearbox to be ready, not counting its start, then at most ``timeout`` s for
+    each answer. SIGINT and SIGTERM interrupt it; call it on the main thread. At the end, also after a
+    failure, the gearbox runs or is paused as before. Raises UsageError on an invalid name, and if a step of
+    the script lies within a chunk.
     """
     with noted_signals() as received, ros_context(node, ros_arguments) as context:
         player = _ScriptClient(context, script, node, timeout, watch, received)
@@ -143,7 +144,7 @@ class _ScriptClient(GearboxClient):
 
     def join(self, wait: float) -> None:
         """Wait until the gearbox offers all services and listens to commands."""
-        if not self._until(self._ready, wait):
+        if not self._await_gearbox(self._ready, wait):
             raise GearboxError(self._absence(wait))
 
     def play(self) -> None:
@@ -327,7 +328,7 @@ class _ScriptClient(GearboxClient):
         )
 
     def _absence(self, wait: float) -> str:
-        if not any(client.service_is_ready() for client in self._services):
+        if not self._seen:
             return not_seen(self._name, wait)
         return (
             f"{self._name} is there, but was not ready for {wait:g} s: it may be starting or inactive; see "

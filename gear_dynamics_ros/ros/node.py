@@ -254,10 +254,9 @@ class GearboxNode(LifecycleNode):
             session.engine_thread.request(self._publisher.repeat_clock)
         pace = session.engine_thread.pace()
         speed = session.engine_thread.run.engine.commands.speed
-        several = self._commands.topics_with_several_publishers()
         statuses = diagnostics.diagnostic_statuses(
             self.get_fully_qualified_name(),
-            diagnostics.collect_health(session, pace, self._viewer, several),
+            diagnostics.collect_health(session, pace, self._viewer, self._commands.publishers()),
             diagnostics.surface_waves(self.parameters, speed),
             step_check.checks(self.parameters, speed),
         )

@@ -16,10 +16,10 @@ from gear_dynamics_ros.ros.discovery import start_failure, stay_local
 from gear_dynamics_ros.ros.node import GearboxNode
 from gear_dynamics_ros.simulation.warm_up import warm_up
 from gear_dynamics_ros.system.command import FAILURE, run_reporting
-from gear_dynamics_ros.system.processes import Parent, Signals
+from gear_dynamics_ros.system.processes import Signals
 from gear_dynamics_ros.system.threads import wake_punctually
 
-SPIN = 1.0  # longest wait for callbacks, s; then the parent process is checked
+SPIN = 1.0  # longest wait for callbacks, s
 
 
 def run_gearbox_node(argv: Sequence[str] | None = None) -> int:
@@ -51,7 +51,6 @@ def _spin(signals: Signals) -> int:
         reasons.append(reason)
         executor.wake()
 
-    parent = Parent()
     node = _node(stop)
     try:
         log: Any = node.get_logger()  # type: ignore[no-untyped-call]
@@ -62,8 +61,6 @@ def _spin(signals: Signals) -> int:
             node.bring_up()
         while not reasons:
             executor.spin_once(timeout_sec=SPIN)
-            if parent.gone():
-                stop("the ros2 run that started it has ended")
     finally:
         node.end(reasons[0] if reasons else "failed")
         node.destroy_node()  # type: ignore[no-untyped-call]

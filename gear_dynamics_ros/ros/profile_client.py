@@ -50,8 +50,9 @@ def play_profile(
 ) -> ProfileOutcome:
     """Play ``profile`` to the gearbox with the full name ``node``; ``watch`` is called after new chunks.
 
-    Waits ``wait`` s for the gearbox to be ready, then at most ``timeout`` s for each answer and chunk.
-    SIGINT and SIGTERM interrupt it; call it on the main thread. Raises UsageError on an invalid name.
+    Waits ``wait`` s for the gearbox to be ready, not counting its start, then at most ``timeout`` s for
+    each answer and chunk. SIGINT and SIGTERM interrupt it; call it on the main thread.
+    Raises UsageError on an invalid name.
     """
     with noted_signals() as received, ros_context(node, ros_arguments) as context:
         player = _ProfileClient(context, profile, node, timeout, watch, received)
@@ -95,7 +96,7 @@ class _ProfileClient(GearboxClient):
 
     def join(self, wait: float) -> None:
         """Wait until the gearbox offers what the profile needs and sends its waveform."""
-        if not self._until(self._ready, wait):
+        if not self._await_gearbox(self._ready, wait):
             raise GearboxError(self._absence(wait))
 
     def configure(self) -> None:
@@ -165,7 +166,7 @@ class _ProfileClient(GearboxClient):
         return self._last_chunk > 0.0 and self._listening() and self._settable() and self._resettable()
 
     def _absence(self, wait: float) -> str:
-        if not self._waveform_publishers():
+        if not self._seen:
             return not_seen(self._name, wait)
         if not self._listening():
             return (

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 
 from gear_dynamics_ros.errors import GearboxError, UsageError
-from gear_dynamics_ros.system.processes import Interruption, interruptible
+from gear_dynamics_ros.system.processes import Interruption, end_with_ros2, interruptible
 
 FAILURE = 1
 USAGE = 2
@@ -45,7 +45,11 @@ def run_command(
 
 
 def run_reporting(act: Callable[[], int], program: str) -> int:
-    """Exit code of ``act``, or of the error that it raises, see ``run_command``."""
+    """Exit code of ``act``, or of the error that it raises, see ``run_command``.
+
+    The end of a ``ros2`` command that started this program counts as SIGTERM.
+    """
+    end_with_ros2()
     try:
         with interruptible() if _on_main_thread() else nullcontext():
             return act()

@@ -1,11 +1,13 @@
-"""Signals to this process, and the end of the ``ros2 run`` that started it."""
+"""Signals to this process, and the end of the ``ros2`` command that started it."""
 
 from __future__ import annotations
 
+import ctypes
 import math
 import os
 import signal
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -20,6 +22,7 @@ from gear_dynamics_ros.system.threads import name_thread
 END_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 # s in which further signals do not disturb the cleaning up after the first.
 UNDISTURBED: Final = 2.0
+_PR_SET_PDEATHSIG: Final = 1  # of prctl(2)
 
 
 class Interruption(KeyboardInterrupt):
@@ -120,26 +123,25 @@ def _leave_it_to_the_socket(number: int, frame: FrameType | None) -> None:
     """Do nothing; without a handler the signal would end the process."""
 
 
-class Parent:
-    """The process that started this one.
+def end_with_ros2() -> None:
+    """Have SIGTERM sent to this process when the ``ros2 run`` or ``ros2 launch`` that started it ends.
 
-    ``ros2 run`` does not pass SIGTERM on: it ends and this process must notice. Other parents may end, as a
-    shell does after ``nohup gearbox &``, so only ``ros2 run`` is watched. Needs /proc.
+    They do not pass a SIGTERM on, so that this process would go on unseen. Other parents may end, as a shell
+    does after ``nohup gearbox &``. On Linux only.
     """
-
-    def __init__(self) -> None:
-        self._pid = os.getppid()
-        self._watched = _is_ros2_run(self._pid)
-
-    def gone(self) -> bool:
-        """Whether the parent was ``ros2 run`` and has ended."""
-        return self._watched and os.getppid() != self._pid
+    parent = os.getppid()
+    if sys.platform != "linux" or not _is_ros2(parent):
+        return
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGTERM))
+    if os.getppid() != parent:  # it ended before the call
+        os.kill(os.getpid(), signal.SIGTERM)
 
 
-def _is_ros2_run(pid: int) -> bool:
+def _is_ros2(pid: int) -> bool:
+    """Whether the process is ``ros2 run`` or ``ros2 launch``, or ``launch_test``, which is alike."""
     try:
         words = Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").split("\0")
     except OSError:
         return False
     names = [Path(word).name for word in words[:2]]
-    return "ros2" in names and "run" in words[1:3]
+    return "launch_test" in names or ("ros2" in names and not {"run", "launch"}.isdisjoint(words[1:3]))

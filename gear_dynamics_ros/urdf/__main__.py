@@ -12,7 +12,7 @@ from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import GEARBOX_NODE_NAME, load_parameters
 from gear_dynamics_ros.system.command import run_command
 from gear_dynamics_ros.system.share import share_file
-from gear_dynamics_ros.urdf.description import robot_description
+from gear_dynamics_ros.urdf.description import HARDWARE_PLUGINS, robot_description
 
 
 def urdf_main(argv: Sequence[str] | None = None) -> int:
@@ -28,6 +28,12 @@ def urdf_main(argv: Sequence[str] | None = None) -> int:
         metavar="NAME",
         help="full name of the gearbox's node (default: %(default)s)",
     )
+    parser.add_argument(
+        "--plugin",
+        choices=HARDWARE_PLUGINS,
+        default=HARDWARE_PLUGINS[0],
+        help="plugin that ros2_control loads (default: %(default)s)",
+    )
     return run_command(_print_urdf, parser, argv)
 
 
@@ -37,7 +43,7 @@ def _print_urdf(arguments: argparse.Namespace) -> int:
             f"--node is {arguments.node!r}, not the full name of a node: write it like {GEARBOX_NODE_NAME}"
         )
     parameters = load_parameters(arguments.params_file or share_file("config/gearbox.yaml"), arguments.set)
-    print(robot_description(parameters, arguments.node), end="")
+    print(robot_description(parameters, arguments.node, arguments.plugin), end="")
     return 0
 
 

@@ -16,15 +16,23 @@ from gear_dynamics_ros.parameters import GEARBOX_NODE_NAME, Parameters, specific
 from gear_dynamics_ros.physics.geometry import base_radii
 from gear_dynamics_ros.topics import TOPICS, full_topic_name
 
-HARDWARE_PLUGIN = "topic_based_ros2_control/TopicBasedSystem"
+# Plugins of ros2_control that command by topic: the default, and its predecessor, with the same parameters.
+HARDWARE_PLUGINS = (
+    "joint_state_topic_hardware_interface/JointStateTopicSystem",
+    "topic_based_ros2_control/TopicBasedSystem",
+)
 STATE_INTERFACES = ("position", "velocity", "effort")
 GEAR_RGBA = {"driving": "0.30 0.45 0.69 1", "driven": "0.87 0.52 0.32 1"}
 AXIS_UP, AXIS_DOWN = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
 Vector = tuple[float, float, float]
 
 
-def robot_description(parameters: Parameters, node: str = GEARBOX_NODE_NAME) -> str:
+def robot_description(
+    parameters: Parameters, node: str = GEARBOX_NODE_NAME, plugin: str = HARDWARE_PLUGINS[0]
+) -> str:
     """URDF text, with a ros2_control block, of the gearbox of the node with the full name ``node``.
+
+    ``plugin`` (of HARDWARE_PLUGINS) is the one that ros2_control loads.
 
     The joints are those of the topic ``joint_states``; each bearing's link is the frame of its
     ``bearing_force``. A gear is a cylinder of its pitch diameter and of its bearing's length, because the
@@ -39,7 +47,7 @@ def robot_description(parameters: Parameters, node: str = GEARBOX_NODE_NAME) -> 
     # The driven gear turns clockwise where its speed is positive.
     _add_gear(robot, parameters, "driven", (distance, 0.0, 0.0), AXIS_DOWN)
     _add_mesh(robot, parameters)
-    _add_control(robot, parameters, node)
+    _add_control(robot, parameters, node, plugin)
     Xml.indent(robot)
     return f'<?xml version="1.0"?>\n{Xml.tostring(robot, encoding="unicode")}\n'
 
@@ -111,11 +119,11 @@ def _add_joint(
     return joint
 
 
-def _add_control(robot: Xml.Element, parameters: Parameters, node: str) -> None:
+def _add_control(robot: Xml.Element, parameters: Parameters, node: str, plugin: str) -> None:
     prefix, operation = parameters.joint_prefix, parameters.operation
     system = Xml.SubElement(robot, "ros2_control", name=f"{prefix}gearbox", type="system")
     hardware = Xml.SubElement(system, "hardware")
-    Xml.SubElement(hardware, "plugin").text = HARDWARE_PLUGIN
+    Xml.SubElement(hardware, "plugin").text = plugin
     settings = {
         "joint_commands_topic": full_topic_name(TOPICS["joint_command"], node),
         "joint_states_topic": full_topic_name(TOPICS["joint_states"], node),

@@ -9,6 +9,12 @@ from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import pytest
+import rclpy
+from lifecycle_msgs.srv import GetState
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 
 from support.gearbox import Client, Peer, shared_gearbox, start_gearbox
 from support.paths import CONFIG
@@ -197,6 +203,43 @@ def test_an_absent_gearbox_is_told_within_the_wait(
     assert run.wait() == 1
     (line,) = run.stderr.splitlines()
     assert line.startswith("drive: error: no gearbox /nobody was seen for 0.5 s: start it")
+
+
+@pytest.fixture
+def starting_gearbox(ros_domain: int) -> Iterator[tuple[Context, Node]]:
+    """A node that is in the graph and serves nobody, as a gearbox while it compiles."""
+    context = Context()
+    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+    node = Node("gearbox", context=context)
+    node.create_service(GetState, "~/get_state", lambda _, answer: answer)
+    yield context, node
+    context.try_shutdown()
+
+
+def test_the_start_of_a_gearbox_may_take_longer_than_the_wait(
+    starting_gearbox: tuple[Context, Node], process: StartProcess, profile: Path
+) -> None:
+    run = drive(process, profile, LONG, "--wait", "4")
+    run.wait_for("/gearbox is starting, waiting until it answers: see its log")
+    context, node = starting_gearbox
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    while run.returncode is None:
+        executor.spin_once(timeout_sec=0.1)
+    assert run.wait() == 1
+    assert "/gearbox is there, but sent no waveform for 4 s: it may be starting, inactive" in run.stderr
+
+
+def test_a_gearbox_that_ends_while_it_starts_is_not_waited_for(
+    starting_gearbox: tuple[Context, Node], process: StartProcess, profile: Path
+) -> None:
+    run = drive(process, profile, LONG, "--wait", "1000")
+    run.wait_for("/gearbox is starting")
+    context, node = starting_gearbox
+    node.destroy_node()
+    context.try_shutdown()
+    assert run.wait() == 1
+    assert run.stderr.endswith("drive: error: /gearbox disappeared before it was ready: see its log\n")
 
 
 def test_a_missing_channel_and_a_killed_gearbox_are_told(

@@ -6,12 +6,15 @@ import os
 from pathlib import Path
 
 import pytest
+import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
-from std_msgs.msg import Float64
+from std_msgs.msg import Float32, Float64
 
 from gear_dynamics_ros.chunk import Commands
+from gear_dynamics_ros.topics import TOPICS, full_topic_name
 from support.domains import free_port
-from support.gearbox import Client, start_gearbox
+from support.gearbox import Client, Peer, start_gearbox
+from support.paths import CONFIG
 from support.processes import StartProcess
 
 
@@ -112,3 +115,32 @@ def test_two_gearboxes_are_told_apart(ros_domain: int, process: StartProcess) ->
         tasks = {status.name: status.hardware_id for message in heard for status in message.status}
     assert {name.rpartition(": ")[0] for name in tasks} == {"rig1/gearbox", "rig2/gearbox"}
     assert all(node == f"/{name.rpartition(': ')[0]}" for name, node in tasks.items())
+
+
+def test_a_publisher_of_another_type_on_a_command_is_told(ros_domain: int, process: StartProcess) -> None:
+    node = start_gearbox(process, "pacing.real_time_factor:=0.2")
+    with Client(hears=("diagnostics",)) as client, Peer("stranger") as stranger:
+        stranger.node.create_publisher(Float32, "/gearbox/command/speed", 1)
+        client.until(lambda: client.status("commands")[1]["publishers of another type"])
+        status, values = client.status("commands")
+    assert values["publishers of another type"] == "/gearbox/command/speed: std_msgs/msg/Float32"
+    assert values["several publishers"] == ""
+    assert status.level == DiagnosticStatus.WARN
+    assert status.message == "a publisher of commands has another type: its messages do not arrive"
+    told = "a publisher of std_msgs/msg/Float32, whose messages do not arrive: publish std_msgs/msg/Float64"
+    assert node.output.count(f"/gearbox/command/speed has {told}") == 1
+
+
+def test_the_file_for_ros2_bag_record_has_the_depths_of_the_node() -> None:
+    found = yaml.safe_load((CONFIG / "rosbag2/qos_overrides.yaml").read_text())
+    deep = {full_topic_name(topic): topic for topic in TOPICS.values() if topic.depth > 10}
+    assert found == {
+        name: {
+            "history": "keep_last",
+            "depth": topic.depth,
+            "reliability": "reliable",
+            "durability": "volatile",
+        }
+        for name, topic in deep.items()
+    }
+    assert all(topic.reliable and not topic.latched for topic in deep.values())

@@ -16,6 +16,7 @@ import pytest
 from gear_dynamics_ros.cli import drive
 from gear_dynamics_ros.parameters import Parameters
 from support.paths import ROOT
+from support.processes import StartProcess
 
 MODULES: Mapping[str, tuple[str, ...]] = {
     "ament_index_python.packages": (),
@@ -90,9 +91,44 @@ def test_the_gearbox_is_started_with_or_without_a_viewer() -> None:
     assert "127.0.0.1" in viewer.options["cmd"]
     scripts = metadata.distribution("gear_dynamics_ros").entry_points.select(group="console_scripts").names
     assert watched.options["executable"] in scripts
-    overrides = watched.options["parameters"][1]
+    (overrides,) = watched.options["parameters"]
     assert Parameters.from_flat(overrides).rerun.mode == "connect"
     assert viewer.options["cmd"][-1] in overrides["rerun.url"]
+
+
+def gearbox_words(**chosen: str) -> list[str]:
+    """The ROS arguments with which gearbox.launch.py starts the gearbox."""
+    entities = actions(ROOT / "launch" / "gearbox.launch.py")
+    values = {**defaults(entities), **chosen}
+    *_, node = of_kind("Node", entities)
+    words = node.options["ros_arguments"]
+    return [word if isinstance(word, str) else word.perform(values) for word in words]
+
+
+def test_a_file_of_parameters_that_does_not_exist_stops_the_gearbox(
+    ros_domain: int, process: StartProcess
+) -> None:
+    gearbox = process("gearbox", "--ros-args", *gearbox_words(params_file="mistyped.yaml"))
+    assert gearbox.wait() == 2
+    assert "mistyped.yaml" in gearbox.stderr.splitlines()[-1]
+
+
+def test_launch_ends_in_an_error_if_the_gearbox_failed() -> None:
+    for node in of_kind("Node", actions(ROOT / "launch" / "gearbox.launch.py")):
+        end = node.options["on_exit"]
+        assert end(SimpleNamespace(returncode=0), {}) is None
+        with pytest.raises(RuntimeError, match="the gearbox ended with exit code 2"):
+            end(SimpleNamespace(returncode=2), {})
+
+
+def test_a_missing_viewer_is_told_before_anything_is_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    entities = actions(ROOT / "launch" / "gearbox.launch.py")
+    (check,) = of_kind("OpaqueFunction", entities)
+    (viewer,) = of_kind("ExecuteProcess", entities)
+    assert entities.index(check) < entities.index(viewer)
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(RuntimeError, match="viewer:=true, but the program rerun is not in PATH"):
+        check.options["function"]({})
 
 
 def test_drive_understands_what_it_is_started_with() -> None:

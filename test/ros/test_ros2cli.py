@@ -6,6 +6,7 @@ import os
 import shutil
 import signal
 import subprocess
+import time
 
 import pytest
 
@@ -13,22 +14,34 @@ from support.gearbox import start_gearbox
 
 ROS2 = shutil.which("ros2")
 PATIENCE = 60.0
+UNSEEN = ("Node not found", "Unable to find node")
+ASKING_A_DAEMON = ("node", "param", "lifecycle")
 
 pytestmark = pytest.mark.skipif(ROS2 is None, reason="ros2 is not installed: it is not among the ROS wheels")
 
 
 def ros2(*words):
-    """Output of a command; it must exit with 0."""
-    answer = subprocess.run(
-        [str(ROS2), *words], capture_output=True, text=True, timeout=PATIENCE, check=False
-    )
-    assert answer.returncode == 0, answer.stdout + answer.stderr
-    return answer.stdout
+    """Output of a command; it must exit with 0.
+
+    Commands that would ask a daemon, and start one, look at the graph themselves: a daemon that has just
+    started knows nothing yet, and outlives the test. On a busy machine their look may be too short too.
+    """
+    if words[0] in ASKING_A_DAEMON:
+        words = (*words[:2], "--no-daemon", "--spin-time", "2", *words[2:])
+    deadline = time.monotonic() + PATIENCE
+    while True:
+        answer = subprocess.run(
+            [str(ROS2), *words], capture_output=True, text=True, timeout=PATIENCE, check=False
+        )
+        if answer.returncode == 0:
+            return answer.stdout
+        output = answer.stdout + answer.stderr
+        assert any(text in output for text in UNSEEN) and time.monotonic() < deadline, output
 
 
 def test_a_running_gearbox_answers(ros_domain, process):
     start_gearbox(process, "pacing.real_time_factor:=0.2").wait_for("running the improved model")
-    info = ros2("node", "info", "--no-daemon", "--spin-time", "5", "/gearbox")
+    info = ros2("node", "info", "/gearbox")
     assert "/gearbox/waveform: std_msgs/msg/Float64MultiArray" in info
     assert "/gearbox/step: std_srvs/srv/Trigger" in info
     assert "successful" in ros2("param", "set", "/gearbox", "oil.viscosity", "0.05")
@@ -55,11 +68,10 @@ def test_the_rate_of_a_topic_can_be_measured(ros_domain, process):
 
 def test_transitions_are_made(ros_domain, process):
     start_gearbox(process, "autostart:=false")
-    for transition, state in (
-        ("configure", "inactive"),
-        ("activate", "active"),
-        ("deactivate", "inactive"),
-        ("cleanup", "unconfigured"),
+    for transitions, state in (
+        (("configure", "activate"), "active"),
+        (("deactivate", "cleanup"), "unconfigured"),
     ):
-        ros2("lifecycle", "set", "/gearbox", transition)
+        for transition in transitions:
+            assert "successful" in ros2("lifecycle", "set", "/gearbox", transition)
         assert state in ros2("lifecycle", "get", "/gearbox")

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import ipaddress
 import os
+import re
 import socket
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 from xml.etree import ElementTree
 
@@ -34,6 +37,35 @@ duration: 60.0
 commands: {speed: [{at: 0.0, value: 900.0}], drive_torque: [{at: 0.0, value: 30.0}],
            load_torque: [{at: 0.0, value: 30.0}]}
 """
+
+
+class Rule(NamedTuple):
+    """What an element of a policy may hold."""
+
+    children: tuple[str, ...] = ()  # at least one of them
+    single: bool = False  # no more than one
+    required: Mapping[str, tuple[str, ...]] = MappingProxyType(
+        {}
+    )  # attributes, with patterns of their values
+    optional: Mapping[str, tuple[str, ...]] = MappingProxyType({})
+
+
+ANY = (".+",)
+QUALIFIER = ("ALLOW", "DENY")
+# The elements of a policy that sros2 (Jazzy) accepts, but for its metadata, xml:base and includes.
+GRAMMAR = {
+    "policy": Rule(("enclaves",), single=True, required={"version": (r"0\.2\.0",)}),
+    "enclaves": Rule(("enclave",)),
+    "enclave": Rule(("profiles",), required={"path": ("/.+",)}),
+    "profiles": Rule(("profile",), optional={"type": ANY}),
+    "profile": Rule(("topics", "services", "actions"), required={"ns": ANY, "node": ANY}),
+    "topics": Rule(("topic",), optional={"publish": QUALIFIER, "subscribe": QUALIFIER}),
+    "services": Rule(("service",), optional={"reply": QUALIFIER, "request": QUALIFIER}),
+    "actions": Rule(("action",), optional={"call": QUALIFIER, "execute": QUALIFIER}),
+    "topic": Rule(),
+    "service": Rule(),
+    "action": Rule(),
+}
 
 
 class Socket(NamedTuple):
@@ -187,8 +219,7 @@ def test_what_may_change_while_the_gearbox_runs_cannot_name_a_path():
 
 def policy_profile(node):
     """Names that the policy lets ``node`` publish, subscribe to, serve and call."""
-    policy = ElementTree.parse(ROOT / "sros2/policy.xml").getroot()
-    (profile,) = [profile for profile in policy.iter("profile") if profile.get("node") == node]
+    (profile,) = [profile for profile in policy().iter("profile") if profile.get("node") == node]
     namespace = profile.get("ns").rstrip("/")
 
     def allowed(right):
@@ -199,23 +230,65 @@ def policy_profile(node):
     return tuple(allowed(right) for right in ("publish", "subscribe", "reply", "request"))
 
 
+def breaches(element):
+    """What the grammar does not allow in ``element`` and below it, in words."""
+    rule = GRAMMAR[element.tag]
+    found = [f"{element.tag}: no {name}" for name in rule.required if name not in element.attrib]
+    for name, value in element.attrib.items():
+        values = {**rule.required, **rule.optional}.get(name, ())
+        if not re.fullmatch("|".join(values), value):
+            found.append(f"{element.tag}: {name}={value!r}")
+    if rule.children and not len(element):
+        found.append(f"{element.tag}: empty")
+    if rule.single and len(element) > 1:
+        found.append(f"{element.tag}: {len(element)} children")
+    for child in element:
+        found += breaches(child) if child.tag in rule.children else [f"{element.tag}: child {child.tag}"]
+    return found
+
+
+def policy():
+    return ElementTree.parse(ROOT / "sros2/policy.xml").getroot()
+
+
 def test_the_policy_has_the_form_that_sros2_reads():
-    policy = ElementTree.parse(ROOT / "sros2/policy.xml").getroot()
-    assert (policy.tag, policy.attrib) == ("policy", {"version": "0.2.0"})
-    (contexts,) = policy
-    assert contexts.tag == "contexts"
-    for context in contexts:
-        assert context.tag == "context" and set(context.attrib) == {"path"}
-        assert context.get("path").startswith("/")
-        (profiles,) = context
-        (profile,) = profiles
-        assert (profiles.tag, profile.tag, set(profile.attrib)) == ("profiles", "profile", {"ns", "node"})
-        for group in profile:
-            rights = {"topics": {"publish", "subscribe"}, "services": {"reply", "request"}}[group.tag]
-            assert set(group.attrib) <= rights and set(group.attrib.values()) == {"ALLOW"}
-            assert len(group) and {entry.tag for entry in group} == {group.tag.removesuffix("s")}
-            # No wildcard: each right is named.
-            assert all(entry.text.replace("_", "").replace("/", "").isalpha() for entry in group)
+    assert policy().tag == "policy"
+    assert breaches(policy()) == []
+
+
+@pytest.mark.parametrize(
+    ("path", "change", "breach"),
+    [
+        ("enclaves", lambda element: setattr(element, "tag", "contexts"), "policy: child contexts"),
+        (".", lambda element: element.set("version", "0.1.0"), "policy: version='0.1.0'"),
+        ("enclaves/enclave", lambda element: element.attrib.pop("path"), "enclave: no path"),
+        (".//profile", lambda element: element.attrib.pop("ns"), "profile: no ns"),
+        (".//topics", lambda element: element.set("publish", "allow"), "topics: publish='allow'"),
+        (".//topics", lambda element: element.set("request", "ALLOW"), "topics: request='ALLOW'"),
+        (".//services", lambda element: element.clear(), "services: empty"),
+    ],
+)
+def test_what_sros2_refuses_is_found(path, change, breach):
+    changed = policy()
+    element = changed.find(path)
+    assert element is not None
+    change(element)
+    assert breaches(changed) == [breach]
+
+
+def test_every_right_is_allowed_by_name():
+    groups = [group for profile in policy().iter("profile") for group in profile]
+    assert {value for group in groups for value in group.attrib.values()} == {"ALLOW"}
+    assert all(len(group.attrib) == 1 for group in groups)
+    # No wildcard.
+    names = [entry.text for group in groups for entry in group]
+    assert all(name.replace("_", "").replace("/", "").isalpha() for name in names)
+
+
+def test_the_documented_enclaves_are_those_of_the_policy():
+    documented = re.findall(r"--enclave (\S+)", (ROOT / "docs/security.md").read_text())
+    assert documented
+    assert set(documented) <= {enclave.get("path") for enclave in policy().iter("enclave")}
 
 
 def test_the_policy_covers_every_topic():

@@ -9,7 +9,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from urdf_parser_py.urdf import URDF
 
@@ -20,7 +24,7 @@ from gear_dynamics_ros.physics.constants import base_radii
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.topics import JOINT_STATE, WRENCH
 from gear_dynamics_ros.urdf.__main__ import urdf_main
-from gear_dynamics_ros.urdf.description import robot_description
+from gear_dynamics_ros.urdf.description import HARDWARE_PLUGINS, robot_description
 from support.gearbox import Peer, start_gearbox
 from support.paths import ROOT
 
@@ -163,8 +167,33 @@ def test_what_cannot_be_is_told_in_one_line(arguments, told):
     assert told in done.stderr and done.stderr.count("\n") == 1
 
 
+@pytest.mark.parametrize("plugin", HARDWARE_PLUGINS)
+def test_both_plugins_can_be_named(plugin, capsys):
+    assert urdf_main(["--plugin", plugin]) == 0
+    robot = ElementTree.fromstring(capsys.readouterr().out)
+    assert robot.findtext("ros2_control/hardware/plugin") == plugin
+    # As in joint_state_topic_hardware_interface: a state without an interface would be an error there.
+    for joint in robot.findall("ros2_control/joint"):
+        states = {interface.get("name") for interface in joint.findall("state_interface")}
+        assert states == {"position", "velocity", "effort"}
+
+
+def test_the_text_reaches_robot_state_publisher_as_a_parameter(ros_domain):
+    text = (ROOT / "urdf/gearbox.urdf").read_text()
+    context = Context()
+    # Without the last newline, as the shell does in $(cat FILE).
+    words = ["--ros-args", "-p", f"robot_description:={text.rstrip()}"]
+    rclpy.init(args=words, context=context, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = Node("publisher", context=context, automatically_declare_parameters_from_overrides=True)
+        found = node.get_parameter("robot_description").value
+    finally:
+        context.try_shutdown()
+    assert ElementTree.canonicalize(found, strip_text=True) == ElementTree.canonicalize(text, strip_text=True)
+
+
 class Plugin(Peer):
-    """Sends what topic_based_ros2_control makes of the block: all joints, their commands in one message."""
+    """Sends what the plugins of ros2_control make of the block: all joints, their commands in one message."""
 
     def __init__(self, block):
         settings = {element.get("name"): element.text for element in block.find("hardware").iter("param")}
@@ -187,7 +216,8 @@ class Plugin(Peer):
         self.subscribe("applied_command", self.applied.append)
 
     def packed(self):
-        """As the older versions: the values that there are, one after the other."""
+        """As topic_based_ros2_control from 0.2.0 on and joint_state_topic_hardware_interface: the values that
+        there are, one after the other."""
         commands = self.joints.values()
         return JointState(
             name=list(self.joints),
@@ -195,13 +225,14 @@ class Plugin(Peer):
             effort=[command["effort"] for command in commands if "effort" in command],
         )
 
-    def aligned(self):
-        """As the newer ones: a value for each joint, NaN where it has no such command."""
+    def padded(self):
+        """As topic_based_ros2_control up to 0.1.1: a value for each joint, 0 where it has no such command."""
         commands = self.joints.values()
         return JointState(
             name=list(self.joints),
-            velocity=[command.get("velocity", math.nan) for command in commands],
-            effort=[command.get("effort", math.nan) for command in commands],
+            position=[0.0 for _ in commands],
+            velocity=[command.get("velocity", 0.0) for command in commands],
+            effort=[command.get("effort", 0.0) for command in commands],
         )
 
     def commands(self):
@@ -226,7 +257,7 @@ def test_the_block_commands_a_running_gearbox(ros_domain, process):
         assert plugin.commands() == (900.0, 30.0, 13.0)
         plugin.joints["driving"] = {"velocity": 880.0, "effort": 31.0}
         plugin.joints["driven"]["effort"] = 14.0
-        plugin.commander.publish(plugin.aligned())
+        plugin.commander.publish(plugin.padded())
         plugin.until(lambda: plugin.commands()[2] == 14.0)
         assert plugin.commands() == (880.0, 31.0, 14.0)
         assert "refused" not in gearbox.output
