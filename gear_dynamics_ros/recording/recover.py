@@ -433,7 +433,10 @@ def _rebuild_all(
     tracker: _SampleTracker,
     progress: Callable[[float], None],
 ) -> list[_Rebuilt]:
-    """Write the new files and metadata.yaml. Raises OSError if that fails."""
+    """Write the new files, but for those without messages if others have some, and metadata.yaml.
+
+    Raises OSError if that fails.
+    """
     rebuilt = [
         _rebuild(
             part, folder / name, _definitions(part, found), tracker, _stage(progress, number, len(found))
@@ -441,7 +444,12 @@ def _rebuild_all(
         for number, (part, name) in enumerate(zip(found, names, strict=True))
     ]
     topics = {name: topic for part in rebuilt for name, topic in part.topics.items()}
-    metadata = layout.metadata_yaml(topics, [part.part for part in rebuilt])
+    # rosbag2 takes a file without messages for one at the time 0, and can wait there for ever.
+    filled = [part.part for part in rebuilt if part.part.messages]
+    for part in rebuilt if filled else ():
+        if not part.part.messages:
+            (folder / part.part.name).unlink()
+    metadata = layout.metadata_yaml(topics, filled or [part.part for part in rebuilt])
     replace_text(folder / layout.METADATA_FILE, metadata)
     return rebuilt
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from rosbags.highlevel import AnyReader
 
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.cli.analyze import analyze_main
 from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.cli.simulate import simulate_main
 from gear_dynamics_ros.errors import GearboxError
+from gear_dynamics_ros.recording.mcap.index import read_index
 from gear_dynamics_ros.replay.verify import verify_recording
 from support.terminal import error_line
 
@@ -182,3 +185,19 @@ def test_a_damaged_metadata_file_is_told_and_written_again(
         verify_recording(recording.open(copy))
     assert run("recover", copy) == 0
     assert "metadata.yaml was missing or damaged: written again" in capsys.readouterr().out
+
+
+def test_a_file_without_messages_is_left_out_where_others_have_some(bag: Path, tmp_path: Path) -> None:
+    def cut(folder: Path) -> None:
+        with part(folder, 1).open("rb") as stream:
+            first_chunk = read_index(stream).chunks[0].chunk_start_offset
+        os.truncate(part(folder, 1), first_chunk)
+
+    copy = changed(bag, tmp_path, cut)
+    assert run("recover", copy) == 0
+    recovered = tmp_path / "recovered"
+    assert sorted(path.name for path in recovered.glob("*.mcap")) == ["recovered_0.mcap", "recovered_2.mcap"]
+    with AnyReader([recovered]) as reader:
+        assert sum(1 for _ in reader.messages()) == reader.message_count
+    found = recording.open(recovered)
+    assert found.coverage.lost_files == () and list(found.coverage.gaps) == [(2000, 4000)]

@@ -33,7 +33,7 @@ from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.topics import DEFAULT_NAMES, TOPICS, full_topic_name
 from support import altering
 from support.altering import alter, in_json, on_topic
-from support.recordings import SHORT, SHORT_CHUNK, perform
+from support.recordings import SHORT, SHORT_CHUNK, Recorded, perform
 
 # What may be done between two chunks; "restore" takes up the state that "save" kept.
 DEEDS: tuple[Any, ...] = (
@@ -775,3 +775,23 @@ def test_an_end_that_is_not_stored_is_told(
     (broken / "bag_1.mcap").write_bytes(b"")
     assert replay_main(["verify", str(broken)]) == 0
     assert "the recording was not concluded" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "values",
+    [{"mesh.stiffness": 1e13}, {"gears.module": 1.0}, {"gears.driving.mass": 1e-9}],
+    ids=lambda values: "_".join(values),
+)
+def test_a_run_that_ended_with_a_state_that_is_not_finite_verifies(
+    tmp_path: Path, values: dict[str, float]
+) -> None:
+    parameters = Parameters.from_flat({"solver.chunk": 3e-4, **values})
+    run = Recorded(tmp_path / "bag", parameters).run
+    for _ in range(40):
+        if run.state.ended:
+            break
+        run.step()
+    run.close()
+    assert "no longer finite" in run.state.reason
+    result = verify_recording(recording.open(tmp_path / "bag"))
+    assert result.difference is None and result.states >= 1
