@@ -39,10 +39,10 @@ def _verify(arguments: argparse.Namespace) -> int:
     from gear_dynamics_ros.simulation.warm_up import warm_up
 
     bag = recording.open(arguments.bag)
-    warn_of_faults("replay", bag)
     warm_up(*stderr_lines("replay"))
     with Progress("verified", bag.end_sample - bag.first_sample) as progress:
         result = verify_recording(bag, arguments.start, progress)
+    warn_of_faults("replay", bag)
     if result.difference is not None:
         print(f"replay: error: {bag.path}: {result.difference}", file=sys.stderr)
         for line in provenance_differences(bag.run.provenance):

@@ -134,7 +134,8 @@ def listed_files(folder: Path) -> tuple[ListedFile, ...] | None:
         times = {str(file["path"]): file for file in information.get("files", [])}
         return tuple(_listed_file(str(name), times.get(str(name))) for name in information[layout.FILES])
     except (KeyError, OSError, TypeError, ValueError, RecursionError, yaml.YAMLError) as error:
-        raise GearboxError(f"{path} is damaged: {type(error).__name__}: {one_line(error):.200}") from error
+        fault = f"{type(error).__name__}: {one_line(error):.200}"
+        raise GearboxError(f"{layout.METADATA_FILE} is damaged: {fault}") from error
 
 
 def _listed_file(name: str, entry: Any) -> ListedFile:

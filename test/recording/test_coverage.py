@@ -63,6 +63,11 @@ def run(reader: str, bag: Path) -> int:
     return analyze_main(words) if reader == "analyze" else replay_main([reader, *words])
 
 
+def refused(reader: str) -> int:
+    """Exit code of a tool that refuses a recording: what can't be published is bad usage."""
+    return 2 if reader == "publish" else 1
+
+
 def swap(folder: Path) -> None:
     part(folder, 0).rename(folder / "x")
     part(folder, 1).rename(part(folder, 0))
@@ -79,7 +84,7 @@ def test_a_file_that_is_there_twice_is_refused(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], reader: str
 ) -> None:
     copy = changed(bag, tmp_path, lambda folder: shutil.copy(part(folder, 1), part(folder, 3)))
-    assert run(reader, copy) == 1
+    assert run(reader, copy) == refused(reader)
     told = error_line(capsys, "analyze" if reader == "analyze" else "replay")
     assert "bag_3.mcap has the samples 2000 to 3999 (0.020000 s to 0.039990 s), which another file" in told
     assert not (tmp_path / "recovered").exists() and not (tmp_path / "x.csv").exists()
@@ -91,7 +96,7 @@ def test_a_file_of_another_run_is_refused(
     bag: Path, other: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], reader: str, number: int
 ) -> None:
     copy = changed(bag, tmp_path, lambda folder: shutil.copy(part(other, 1), part(folder, number)))
-    assert run(reader, copy) == 1
+    assert run(reader, copy) == refused(reader)
     told = error_line(capsys, "analyze" if reader == "analyze" else "replay")
     assert f"bag_{number}.mcap is of another run than bag_0.mcap" in told
 
