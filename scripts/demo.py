@@ -47,9 +47,9 @@ def main() -> int:
         start_new_session=True,
     )
     try:
-        say(f"playing {PROFILE.relative_to(SOURCE)} to it over topics: run-up, load step, torque reversal")
+        say(f"playing {PROFILE.relative_to(SOURCE)} to it in lockstep: run-up, load step, torque reversal")
         played = subprocess.run(
-            [executable("drive"), str(PROFILE), "--wait", "60"], env=environment
+            [executable("drive"), str(PROFILE), "--lockstep", "--wait", "60"], env=environment
         ).returncode
     finally:
         stopped = stop(gearbox)

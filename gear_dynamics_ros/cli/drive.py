@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import statistics
 import sys
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from gear_dynamics_ros.cli.progress import ProgressLine
 from gear_dynamics_ros.cli.ros import add_gearbox, full_name, needing_ros, split_ros_arguments
@@ -14,8 +16,11 @@ from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.harness.junit import JunitReport
 from gear_dynamics_ros.harness.player import Player
 from gear_dynamics_ros.harness.profile import load_profile
-from gear_dynamics_ros.harness.results import Result, format_results
+from gear_dynamics_ros.harness.results import format_results
 from gear_dynamics_ros.system.command import FAILURE, SIGNALLED, run_command
+
+if TYPE_CHECKING:
+    from gear_dynamics_ros.ros.profile_client import ProfileOutcome
 
 
 def drive_main(argv: Sequence[str] | None = None) -> int:
@@ -39,14 +44,21 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("profile", type=Path, metavar="PROFILE", help="YAML file, see config/profiles")
     add_gearbox(parser)
+    parser.add_argument(
+        "--lockstep",
+        dest="play",
+        action="store_const",
+        const=_play_in_lockstep,
+        default=_play_at_own_pace,
+        help="exact to the sample, the same bits on every machine: pause the gearbox, step it from command "
+        "to command, and let it run on at the end if it ran before",
+    )
     parser.add_argument("--junit", type=Path, metavar="FILE", help="write the results to FILE as JUnit XML")
     return parser
 
 
 def _drive(arguments: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     profile = load_profile(arguments.profile)
-    with needing_ros():
-        from gear_dynamics_ros.ros.profile_client import play_profile
     node = full_name(arguments.node)
     report = None if arguments.junit is None else JunitReport(arguments.junit, arguments.profile.stem)
     if report is not None:
@@ -54,12 +66,16 @@ def _drive(arguments: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     print(f"playing {arguments.profile} to {node}: {profile.duration:g} s of simulated time", flush=True)
     with ProgressLine() as line:
         watch = _Watch(line)
-        outcome = play_profile(profile, node, arguments.wait, arguments.timeout, watch, ros_arguments)
+        outcome: ProfileOutcome = arguments.play(
+            profile, node, arguments.wait, arguments.timeout, watch, ros_arguments
+        )
     try:
         if report is not None:
             report.write(outcome.results, outcome.failure)
     finally:
-        print(f"{outcome.published} commands published")
+        print(f"{outcome.published} commands published{_lateness(outcome.lateness)}")
+        if outcome.state:
+            print(f"{node} {outcome.state}, as before")
         if outcome.results:
             print(format_results(outcome.results), flush=True)
     if outcome.signal:
@@ -67,16 +83,48 @@ def _drive(arguments: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
         return SIGNALLED + outcome.signal
     if outcome.failure:
         raise GearboxError(outcome.failure)
-    return _exit_code(outcome.results)
+    return _exit_code(outcome)
 
 
-def _exit_code(results: Sequence[Result]) -> int:
-    """Say which expectations failed; FAILURE if any did."""
-    failed = [result for result in results if not result.passed]
-    for result in failed:
-        print(f"drive: failed: {result.reason()}", file=sys.stderr)
-    print(f"{len(results) - len(failed)} of {len(results)} expectations passed")
-    return FAILURE if failed else 0
+def _play_at_own_pace(*arguments: Any) -> ProfileOutcome:
+    with needing_ros():
+        from gear_dynamics_ros.ros.profile_client import play_profile
+    return play_profile(*arguments)
+
+
+def _play_in_lockstep(*arguments: Any) -> ProfileOutcome:
+    with needing_ros():
+        from gear_dynamics_ros.ros.lockstep_profile_client import play_profile_in_lockstep
+    return play_profile_in_lockstep(*arguments)
+
+
+def _exit_code(outcome: ProfileOutcome) -> int:
+    """Say which expectations did not pass, and why; FAILURE if there are any."""
+    results = outcome.results
+    for result in results:
+        if not result.passed:
+            print(f"drive: {'failed: ' if result.failed else ''}{result.reason()}", file=sys.stderr)
+    if any(result.unjudged for result in results):
+        print(f"drive: error: {_slowness(outcome)}", file=sys.stderr)
+    passed = sum(result.passed for result in results)
+    print(f"{passed} of {len(results)} expectations passed")
+    return 0 if passed == len(results) else FAILURE
+
+
+def _lateness(lateness: Sequence[float]) -> str:
+    if not lateness:
+        return ""
+    return (
+        f"; they acted {statistics.median(lateness) * 1e3:.3g} ms late (median), "
+        f"{max(lateness) * 1e3:.3g} ms at most, in simulated time"
+    )
+
+
+def _slowness(outcome: ProfileOutcome) -> str:
+    return (
+        f"the machine was too slow: simulated time ran at {outcome.real_time_factor:.2g} of real time, "
+        f"commands acted up to {max(outcome.lateness, default=0.0):.2g} s late; use --lockstep"
+    )
 
 
 class _Watch:

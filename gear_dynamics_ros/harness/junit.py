@@ -48,8 +48,9 @@ class JunitReport:
 def junit_xml(profile: str, results: Sequence[Result], failure: str) -> bytes:
     """JUnit XML with a test case for each expectation, its time the window's length in simulated s.
 
-    A failed expectation holds its reason. ``failure`` says why the run broke off, empty if it did not: it is
-    the error of a test case of its own, and expectations whose window was not over count as skipped.
+    A failed expectation holds its reason, and one that can't be judged an error. ``failure`` says why the run
+    broke off, empty if it did not: it is the error of a test case of its own, and expectations whose
+    window was not over count as skipped.
     """
     suite = ElementTree.Element("testsuite", name="drive")
     for result in results:
@@ -83,6 +84,8 @@ def _add_case(suite: ElementTree.Element, profile: str, result: Result) -> None:
     )
     if not result.complete:
         ElementTree.SubElement(case, "skipped", message=_clean(result.reason()))
+    elif result.unjudged:
+        ElementTree.SubElement(case, "error", type="too slow", message=_clean(result.reason()))
     elif not result.passed:
         ElementTree.SubElement(case, "failure", type="expectation", message=_clean(result.reason()))
 

@@ -2,56 +2,82 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.harness.expectations import Expectation
-from gear_dynamics_ros.harness.profile import Profile
+from gear_dynamics_ros.harness.profile import Profile, require_sampling
 from gear_dynamics_ros.harness.results import Result, unreached
-from gear_dynamics_ros.parameters.decimals import exact_text
+from gear_dynamics_ros.harness.time_axis import Stretch, TimeAxis
 
 
 class _WindowMeasurement:
-    """Measures one expectation over the samples [first, end), counted from the origin."""
+    """Measures one expectation over the positions [first, end) of the time axis."""
 
-    def __init__(self, expectation: Expectation, column: int, interval_ns: int) -> None:
+    def __init__(self, expectation: Expectation, column: int, scope: int, interval_ns: int) -> None:
+        """``scope`` is the position from which commands matter: its start, or that of an entry before."""
         self._expectation = expectation
-        self._first = _samples_before(expectation.start, interval_ns)
-        self._end = _samples_before(expectation.end, interval_ns)
+        self._scope = scope
+        self._first = samples_before(expectation.start, interval_ns)
+        self._end = samples_before(expectation.end, interval_ns)
         self._column = column
         self._count = 0
+        self._missing = 0
         self._measured = expectation.measure.begin(interval_ns)
 
-    def add(self, first_sample: int, samples: NDArray[np.float64]) -> None:
-        """Take in what lies in the window of ``samples`` (n, channels), from index ``first_sample`` on."""
-        start, end = max(self._first - first_sample, 0), min(self._end - first_sample, len(samples))
-        if start < end:
+    def add(self, stretch: Stretch, samples: NDArray[np.float64] | None) -> None:
+        """Take in what lies in the window of ``samples`` (n, channels), None if they were lost.
+
+        While the axis stands still at a boundary of the window, its samples are in neither of both sides.
+        """
+        start, end = 0, stretch.end - stretch.first
+        if stretch.moves:
+            start, end = max(self._first - stretch.position, 0), min(self._end - stretch.position, end)
+        elif not self._first < stretch.position < self._end:
+            return
+        if start >= end:
+            return
+        if samples is None:
+            self._missing += end - start
+        else:
             self._measured.add(samples[start:end, self._column])
             self._count += end - start
 
-    def result(self, reached: int) -> Result:
-        """The result once simulated time has reached the sample ``reached``."""
-        passed = min(max(reached, self._first), self._end) - self._first
+    def result(self, position: int, left_out: Sequence[int]) -> Result:
+        """The result when ``position`` is reached; ``left_out`` are positions of values never in force."""
         values = self._measured.values() if self._count else ()
-        missing = passed - self._count
-        return Result(self._expectation, values, self._count, missing, reached >= self._end)
+        lacking = sum(self._scope < other < self._end for other in left_out)
+        return Result(self._expectation, values, self._count, self._missing, position >= self._end, lacking)
 
 
-def _samples_before(time: float, interval_ns: int) -> int:
+def samples_before(time: float, interval_ns: int) -> int:
+    """Number of samples before ``time`` (s), that of sample 0 being 0."""
     return -(-round(time * 1e9) // interval_ns)
 
 
 class Player:
     """Follows the simulated time of a gearbox by its waveform: gives the commands due, and measures.
 
-    The first chunk only sets the origin: profile time 0 is its end. The waveform is not stored.
+    The first chunk only sets the origin: profile time 0 is its end. From there the time axis of the profile
+    follows the commands that acted. If the profile has expectations, the player waits where an entry of a
+    command starts or ends until the command is in force, so that no entry overtakes the one before it.
+    Only the samples whose position on the axis is not known yet are stored.
     """
 
-    def __init__(self, profile: Profile, channels: Sequence[str]) -> None:
-        """``channels`` names the waveform's columns. Raises GearboxError if a needed one is missing."""
+    def __init__(
+        self,
+        profile: Profile,
+        channels: Sequence[str],
+        accepts: Callable[[str, float], bool] = lambda name, value: True,
+    ) -> None:
+        """``channels`` names the waveform's columns; ``accepts`` says if the gearbox takes a command.
+
+        Raises GearboxError if a channel that is needed is missing.
+        """
         needed = {"time": "to follow simulated time"}
         needed.update({e.channel: f"by expectation {e.name!r}" for e in profile.expectations})
         for channel, purpose in needed.items():
@@ -61,21 +87,34 @@ class Player:
                     "add it to the gearbox's parameter waveform_channels"
                 )
         self.profile = profile
-        self._columns = {name: column for column, name in enumerate(channels)}
+        self._accepts = accepts
+        self._columns = [channels.index(channel) for channel in needed]
+        self._names = list(needed)
         self._windows: list[_WindowMeasurement] = []
         self._interval_ns = 0
         self._origin = 0  # sample index of profile time 0
         self._reached = 0  # samples since the origin
+        self._position = 0  # on the time axis, for which commands are given
+        self._knots: list[int] = []  # positions to wait at, in order
+        self._axis = TimeAxis()
+        self._in_force: Commands | None = None
+        self._given: dict[str, float] = {}  # commands up to now, by name
+        self._blocks: list[tuple[int, NDArray[np.float64]]] = []  # first sample, samples; not measured yet
 
     @property
     def time_ns(self) -> int:
         """Profile time reached."""
-        return self._reached * self._interval_ns
+        return self._position * self._interval_ns
 
     @property
     def time(self) -> float:
         """Profile time reached, s."""
         return self.time_ns / 1e9
+
+    @property
+    def simulated(self) -> float:
+        """Simulated time since profile time 0, s."""
+        return self._reached * self._interval_ns / 1e9
 
     @property
     def started_at(self) -> float:
@@ -84,65 +123,140 @@ class Player:
 
     @property
     def finished(self) -> bool:
-        """Whether the whole profile has been played."""
-        return self._interval_ns > 0 and self.time_ns >= round(self.profile.duration * 1e9)
+        """Whether the whole profile has been played, and measured."""
+        if not self._interval_ns:
+            return False
+        position = self._axis.position if self.profile.expectations else self._position
+        return position >= samples_before(self.profile.duration, self._interval_ns)
+
+    @property
+    def awaiting(self) -> dict[str, float]:
+        """The commands that were given and are not in force, by name."""
+        return self._axis.awaiting
+
+    @property
+    def lateness(self) -> list[float]:
+        """By how much each command acted after it was due, s of simulated time."""
+        return [late * self._interval_ns / 1e9 for late in self._axis.lateness]
+
+    def begin(self, sample: int, interval_ns: int) -> None:
+        """Let profile time 0 be at ``sample`` (index); samples are ``interval_ns`` apart."""
+        self._interval_ns = interval_ns
+        self._origin = sample
+        if self.profile.expectations:
+            self._knots = sorted({-(-time_ns // interval_ns) for time_ns in self.profile.knots_ns})
+        self._windows = [self._window(expectation) for expectation in self.profile.expectations]
+        self._advance(0)
 
     def feed(self, samples: NDArray[np.float64]) -> None:
         """Take the next chunk, shape (n, channels).
 
-        Raises GearboxError if simulated time runs backwards, the chunk has a single sample, or chunks are too
-        long for a frequency in the profile.
+        Raises GearboxError if simulated time runs backwards, the first chunk has a single sample, or chunks
+        are too long for a frequency in the profile.
         """
-        times = samples[:, self._columns["time"]]
         if not self._interval_ns:
-            self._set_origin(times)
+            self._set_origin(samples[:, self._columns[0]])
         else:
-            self._measure(times, samples)
+            self._take(samples)
+
+    def acted(self, sample: int, commands: Commands) -> None:
+        """Note that ``commands`` are in force from ``sample`` (index) on."""
+        self._in_force = commands
+        self._axis.acted(sample - self._origin, commands)
+        self._measure()
 
     def commands(self) -> dict[str, float]:
         """The value of every command that the profile has set by now, by name."""
-        values = {name: track.value(self.time) for name, track in self.profile.commands.items()}
-        return {name: value for name, value in values.items() if value is not None}
+        return dict(self._given)
 
     def results(self) -> tuple[Result, ...]:
         """The results so far, one for each expectation in the profile's order."""
         if not self._interval_ns:
             return unreached(self.profile.expectations)
-        return tuple(window.result(self._reached) for window in self._windows)
+        axis = self._axis
+        return tuple(window.result(axis.position, axis.left_out) for window in self._windows)
 
     def _set_origin(self, times: NDArray[np.float64]) -> None:
         if len(times) < 2:
             raise GearboxError(
                 "a chunk has 1 sample, drive needs at least 2: raise the gearbox's solver.chunk"
             )
-        self._interval_ns = max(1, round((times[-1] - times[0]) / (len(times) - 1) * 1e9))
-        self._require_sampling(len(times) * self._interval_ns / 1e9)
-        self._origin = self._index(times[-1]) + 1
-        self._windows = [
-            _WindowMeasurement(expectation, self._columns[expectation.channel], self._interval_ns)
-            for expectation in self.profile.expectations
-        ]
+        interval_ns = max(1, round((times[-1] - times[0]) / (len(times) - 1) * 1e9))
+        require_sampling(self.profile, len(times) * interval_ns / 1e9)
+        self.begin(_index(times[-1], interval_ns) + 1, interval_ns)
 
-    def _require_sampling(self, chunk: float) -> None:
-        limit = 0.5 / chunk
-        for name, track in self.profile.commands.items():
-            if track.highest_frequency > limit:
-                raise GearboxError(
-                    f"commands.{name} asks for {exact_text(track.highest_frequency)} Hz, but one command in "
-                    f"each chunk of {exact_text(chunk)} s carries at most {exact_text(limit)} Hz: lower it "
-                    "or shorten solver.chunk"
-                )
+    def _window(self, expectation: Expectation) -> _WindowMeasurement:
+        first = samples_before(expectation.start, self._interval_ns)
+        scope = max((knot for knot in self._knots if knot <= first), default=first)
+        column = self._names.index(expectation.channel)
+        return _WindowMeasurement(expectation, column, scope, self._interval_ns)
 
-    def _measure(self, times: NDArray[np.float64], samples: NDArray[np.float64]) -> None:
-        first = self._index(times[0]) - self._origin
+    def _take(self, samples: NDArray[np.float64]) -> None:
+        time = samples[0, self._columns[0]]
+        first = _index(time, self._interval_ns) - self._origin
         if first < self._reached:
             raise GearboxError(
-                f"simulated time went back from {self.started_at + self.time:g} s to {times[0]:g} s: "
+                f"simulated time went back from {self.started_at + self.simulated:g} s to {time:g} s: "
                 "the gearbox was restarted, or two of them publish under this name"
             )
-        for window in self._windows:
-            window.add(first, samples)
-        self._reached = first + len(samples)
+        if self._windows:
+            self._blocks.append((first, samples[:, self._columns]))
+        elapsed = first + len(samples) - self._reached
+        self._reached += elapsed
+        self._advance(elapsed)
+        self._measure()
 
-    def _index(self, time: float) -> int:
-        return round(time * 1e9 / self._interval_ns)
+    def _advance(self, elapsed: int) -> None:
+        """Give the commands that are due ``elapsed`` samples later."""
+        target = self._position + elapsed
+        if self.profile.expectations and not self._axis.awaiting:
+            target = self._axis.position_at(self._reached)
+        while self._knots and self._knots[0] <= target:
+            self._give(self._knots[0], target)
+            if self._axis.awaiting:
+                return
+            del self._knots[0]
+        self._give(target, target)
+
+    def _give(self, position: int, target: int) -> None:
+        """Give the commands due at ``position``; the last sample has reached the position ``target``."""
+        self._position = max(self._position, position)
+        time = self.time
+        for name, track in self.profile.commands.items():
+            value = track.value(time)
+            if value is None or value == self._given.get(name):
+                continue
+            self._given[name] = value
+            if self._accepts(name, value) and not self._is_in_force(name, value):
+                due = min(samples_before(track.since(time), self._interval_ns), position)
+                self._axis.expect(name, value, due, self._reached - (target - due))
+
+    def _is_in_force(self, name: str, value: float) -> bool:
+        in_force = self._in_force
+        return in_force is not None and name not in self._axis.awaiting and getattr(in_force, name) == value
+
+    def _measure(self) -> None:
+        """Hand the samples whose positions are known to the windows."""
+        for stretch in self._axis.resolve(self._reached):
+            done = stretch.first
+            for first, samples in self._blocks:
+                start, end = max(first, done), min(first + len(samples), stretch.end)
+                if start >= end:
+                    continue
+                self._add(stretch, done, start, None)
+                self._add(stretch, start, end, samples[start - first : end - first])
+                done = end
+            self._add(stretch, done, stretch.end, None)
+            self._blocks = [block for block in self._blocks if block[0] + len(block[1]) > stretch.end]
+
+    def _add(self, stretch: Stretch, first: int, end: int, samples: NDArray[np.float64] | None) -> None:
+        """Give the samples [first, end) of ``stretch`` to all windows."""
+        if first < end:
+            position = stretch.position + (first - stretch.first if stretch.moves else 0)
+            part = Stretch(first, end, position, stretch.moves)
+            for window in self._windows:
+                window.add(part, samples)
+
+
+def _index(time: float, interval_ns: int) -> int:
+    return round(time * 1e9 / interval_ns)

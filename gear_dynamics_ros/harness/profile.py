@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from gear_dynamics_ros.chunk import Commands
-from gear_dynamics_ros.errors import UsageError
+from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.harness import fields
 from gear_dynamics_ros.harness.expectations import Expectation, parse_expectations
 from gear_dynamics_ros.harness.tracks import CommandTrack, RampPiece, parse_track
@@ -31,6 +31,12 @@ class Profile:
     reset: bool  # the gearbox before time 0 to its start state, with these parameters
     commands: Mapping[str, CommandTrack]
     expectations: tuple[Expectation, ...]
+
+    @property
+    def knots_ns(self) -> frozenset[int]:
+        """Times in ns at which an entry of a command starts or ends."""
+        pieces = [piece for track in self.commands.values() for piece in track.pieces]
+        return frozenset(round(time * 1e9) for piece in pieces for time in (piece.start, piece.end))
 
 
 def load_profile(path: Path) -> Profile:
@@ -74,6 +80,18 @@ def parse_profile(data: object, folder: Path) -> Profile:
         tracks,
         expectations,
     )
+
+
+def require_sampling(profile: Profile, chunk: float) -> None:
+    """Raise GearboxError if a command in each chunk of ``chunk`` s can't carry a frequency of ``profile``."""
+    limit = 0.5 / chunk
+    for name, track in profile.commands.items():
+        if track.highest_frequency > limit:
+            raise GearboxError(
+                f"commands.{name} asks for {exact_text(track.highest_frequency)} Hz, but one command in "
+                f"each chunk of {exact_text(chunk)} s carries at most {exact_text(limit)} Hz: lower it "
+                "or shorten solver.chunk"
+            )
 
 
 def step_profile(description: str, duration: float, commands: Sequence[tuple[float, Commands]]) -> Profile:

@@ -17,6 +17,7 @@ class Result(NamedTuple):
     samples: int
     missing: int  # samples of the window that never arrived
     complete: bool  # simulated time has reached the window's end
+    left_out: int = 0  # values of a ramp, sine or series before its end that were not in force at any time
 
     @property
     def passed(self) -> bool:
@@ -26,10 +27,22 @@ class Result(NamedTuple):
         return all(self.expectation.minimum <= value <= self.expectation.maximum for value in self.values)
 
     @property
+    def unjudged(self) -> bool:
+        """Whether it did not pass, but was not played as the profile has it: commands came too late."""
+        return self.complete and not self.passed and self.left_out > 0
+
+    @property
+    def failed(self) -> bool:
+        """Whether it did not pass, and the commands were those of the profile."""
+        return not (self.passed or self.unjudged)
+
+    @property
     def status(self) -> str:
-        """``pass``, ``FAIL``, or ``open`` while the window is not over."""
+        """``pass``, ``FAIL``, ``late`` if unjudged, or ``open`` while the window is not over."""
         if not self.complete:
             return "open"
+        if self.unjudged:
+            return "late"
         return "pass" if self.passed else "FAIL"
 
     def measured(self) -> str:
@@ -47,6 +60,8 @@ class Result(NamedTuple):
         head = f"{expectation.name}: {expectation.describe()} in {expectation.window()}"
         if not self.complete:
             return f"{head} was not reached"
+        if self.unjudged:
+            return f"{head} can't be judged: {self.left_out} values of its commands came too late to act"
         if self.missing:
             return f"{head} lacks {self.missing} of {self.missing + self.samples} samples"
         if not self.values:

@@ -41,6 +41,9 @@ class TrackPiece(Protocol):
     def value(self, time: float) -> float:
         """Value at ``time`` >= start."""
 
+    def since(self, time: float) -> float:
+        """Time from which the value at ``time`` >= start holds; ``time`` itself where it changes."""
+
 
 @dataclass(frozen=True, slots=True)
 class RampPiece:
@@ -72,6 +75,10 @@ class RampPiece:
         cycles = since * (self.frequency + 0.5 * (self.end_frequency - self.frequency) * since / length)
         return level + self.amplitude * math.sin(2.0 * math.pi * cycles)
 
+    def since(self, time: float) -> float:
+        """Time from which the value at ``time`` >= start holds."""
+        return min(time, self.end)
+
 
 @dataclass(frozen=True, slots=True)
 class SeriesPiece:
@@ -96,6 +103,10 @@ class SeriesPiece:
         """Value at ``time`` >= start."""
         return self.interpolation(self.series, time - self.start)
 
+    def since(self, time: float) -> float:
+        """Time from which the value at ``time`` >= start holds."""
+        return min(time, self.end)
+
 
 @dataclass(frozen=True, slots=True)
 class CommandTrack:
@@ -107,6 +118,11 @@ class CommandTrack:
         """Value at ``time`` in s, None before the first piece."""
         position = bisect_right(self.pieces, time, key=lambda piece: piece.start)
         return self.pieces[position - 1].value(time) if position else None
+
+    def since(self, time: float) -> float:
+        """Time from which the value at ``time`` in s holds, not before the first piece."""
+        position = bisect_right(self.pieces, time, key=lambda piece: piece.start)
+        return self.pieces[position - 1].since(time)
 
     @property
     def end(self) -> float:

@@ -8,6 +8,7 @@ from gear_dynamics_ros.parameters.changes import (
     updated,
 )
 from gear_dynamics_ros.parameters.checks import MOST_WAVES_PER_REVOLUTION
+from gear_dynamics_ros.parameters.commands import command_bounds
 from gear_dynamics_ros.parameters.groups import (
     BearingParameters,
     GearPairParameters,
@@ -42,6 +43,7 @@ __all__ = [
     "Specification",
     "change_to",
     "change_values",
+    "command_bounds",
     "differences",
     "dump_parameters",
     "load_parameters",

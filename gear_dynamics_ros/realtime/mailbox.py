@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from gear_dynamics_ros.chunk import Commands
-from gear_dynamics_ros.parameters import Parameters, specifications
+from gear_dynamics_ros.parameters import Parameters, command_bounds
 from gear_dynamics_ros.parameters.decimals import exact_text
 
 # Messages recorded between two chunk edges. Of more, the oldest are not recorded; they had no effect.
@@ -51,16 +51,7 @@ class Mailbox:
 
     def limit(self, parameters: Parameters) -> None:
         """From now on accept only values within the bounds of ``parameters``."""
-        rows = specifications()
-        speed_limit = parameters.operation.speed_limit
-        torques = {name: rows[f"operation.{name}"] for name in ("drive_torque", "load_torque")}
-        bounds = {
-            name: (
-                -math.inf if row.minimum is None else row.minimum,
-                math.inf if row.maximum is None else row.maximum,
-            )
-            for name, row in torques.items()
-        } | {"speed": (-speed_limit, speed_limit)}
+        bounds = command_bounds(parameters.operation.speed_limit)
         with self._lock:
             self._bounds = bounds
 

@@ -2,53 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from collections.abc import Sequence
+from dataclasses import replace
 
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.events import CHANGE, RESET, RESTORE, OperatorEvent
 from gear_dynamics_ros.recording.reader import Recording
+from gear_dynamics_ros.script import ChangeAction, LockstepScript, ResetAction, ScriptAction, ScriptStep
 
 # Parameters that are commands too: a recording has their changes among its commands.
 COMMAND_PARAMETERS = frozenset(f"operation.{name}" for name in Commands._fields)
 # Parameters that decide when chunks are computed, not their content; in lockstep the client decides that.
 PACING_PREFIXES = ("pacing.", "stepping.")
-
-
-@dataclass(frozen=True, slots=True)
-class ResetAction:
-    """Reset to the start state."""
-
-
-@dataclass(frozen=True, slots=True)
-class ChangeAction:
-    """Change parameters, by dotted name, all at once."""
-
-    parameters: Mapping[str, Any]
-
-
-ScriptAction: TypeAlias = ResetAction | ChangeAction
-
-
-@dataclass(frozen=True, slots=True)
-class ScriptStep:
-    """Actions, then commands, before the sample at ``time_ns`` is computed."""
-
-    time_ns: int  # since the recording's first sample
-    actions: tuple[ScriptAction, ...]
-    commands: Commands  # in force from then on
-
-
-@dataclass(frozen=True, slots=True)
-class LockstepScript:
-    """Steps to perform on a gearbox at exact samples. The first step is at time 0."""
-
-    duration_ns: int
-    steps: tuple[ScriptStep, ...]
 
 
 def command_script(recording: Recording) -> LockstepScript:
@@ -71,19 +38,6 @@ def with_initial_reset(script: LockstepScript) -> LockstepScript:
     """``script`` with a reset as its first action."""
     first, *others = script.steps
     return replace(script, steps=(replace(first, actions=(ResetAction(), *first.actions)), *others))
-
-
-def require_chunk_edges(script: LockstepScript, chunk_ns: int) -> None:
-    """Raise UsageError if a step is not at the start of a chunk of ``chunk_ns``."""
-    times = [step.time_ns for step in script.steps]
-    inside = next((time_ns for time_ns in times if time_ns % chunk_ns), None)
-    if inside is not None:
-        fitting = math.gcd(*times, chunk_ns) / 1e9
-        raise UsageError(
-            f"the recording has commands or events {inside / 1e9:.9g} s after its first sample, within a "
-            f"chunk of the gearbox's solver.chunk = {chunk_ns / 1e9:.9g} s: start the gearbox with "
-            f"solver.chunk = {fitting:.9g} s"
-        )
 
 
 def skipped_by_commands(recording: Recording) -> Counter[str]:
@@ -132,7 +86,7 @@ def _script(recording: Recording, events: Sequence[OperatorEvent]) -> LockstepSc
         if not steps or actions[sample] or new != in_force:
             steps.append(ScriptStep((sample - first) * interval_ns, tuple(actions[sample]), new))
         in_force = new
-    return LockstepScript((end - first) * interval_ns, tuple(steps))
+    return LockstepScript("the recording", (end - first) * interval_ns, tuple(steps))
 
 
 def _actions(event: OperatorEvent) -> list[ScriptAction]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 import rclpy
 from lifecycle_msgs.srv import GetState
@@ -17,8 +18,10 @@ from rclpy.exceptions import InvalidServiceNameException, InvalidTopicNameExcept
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from gear_dynamics_ros.errors import GearboxError, UsageError, one_line
@@ -53,8 +56,31 @@ def ros_context(node: str, arguments: Sequence[str]) -> Iterator[Context]:
         context.try_shutdown()
 
 
+class GearboxInfo(NamedTuple):
+    """Content of the first ``~/model_info`` of a gearbox."""
+
+    epoch_ns: int  # stamp of simulated time 0
+    interval_ns: int
+    chunk_samples: int
+    joints: tuple[str, str]  # driving, driven
+    topics: Mapping[str, str]  # full names in the graph, by key in TOPICS
+    parameters: Mapping[str, Any]
+
+    @property
+    def chunk_ns(self) -> int:
+        """Simulated time of a chunk, ns."""
+        return self.chunk_samples * self.interval_ns
+
+    def sample(self, stamp_ns: int) -> int:
+        """Index of the sample with a stamp."""
+        return round((stamp_ns - self.epoch_ns) / self.interval_ns)
+
+
 class GearboxClient(ABC):
     """A node that sends requests to one gearbox and listens to it, all on the caller's thread.
+
+    ``~/model_info`` names the topics of the gearbox, so that those can be remapped; a rule for this node
+    (``-r``) comes first.
 
     While ``_interruptible``, a signal in ``received`` raises GearboxError at the next wait.
     """
@@ -75,6 +101,48 @@ class GearboxClient(ABC):
             SetParametersAtomically, f"{gearbox}/set_parameters_atomically"
         )
         self._start = _StartWatch(self._ros, gearbox)
+        self._info: GearboxInfo | None = None  # the first one
+        self._present: Mapping[str, Any] = {}  # parameters in force
+        self._heard_at = 0.0  # wall time of the last message or answer, 0 for none
+        self._listen("model_info", self._take_info)
+
+    @abstractmethod
+    def _connect(self) -> None:
+        """Create publishers and subscriptions: called once, when the names of the topics are known."""
+
+    @property
+    def _known(self) -> GearboxInfo:
+        if self._info is None:
+            raise GearboxError(f"{self._name} has not published ~/model_info: see its log")
+        return self._info
+
+    def _take_info(self, message: String) -> None:
+        info = json.loads(message.data)
+        self._present = info["parameters"]
+        if self._info is not None:
+            return
+        keys = {topic.name: key for key, topic in TOPICS.items()}
+        self._info = GearboxInfo(
+            epoch_ns=info["epoch_ns"],
+            interval_ns=info["sample_interval_ns"],
+            chunk_samples=info["samples_per_chunk"],
+            joints=tuple(info["joints"][:2]),
+            topics={
+                keys[entry["declared"]]: name
+                for name, entry in info["topics"].items()
+                if entry["declared"] in keys
+            },
+            parameters=info["parameters"],
+        )
+        self._connect()
+
+    def _topic_name(self, key: str) -> str:
+        """Name of the topic ``key`` (in TOPICS) of the gearbox, to give to this node."""
+        declared = full_topic_name(TOPICS[key], self._name)
+        remapped_here = self._ros.resolve_topic_name(declared) != declared
+        if self._info is None or remapped_here:
+            return declared
+        return self._info.topics.get(key, declared)
 
     @property
     def _seen(self) -> bool:
@@ -88,9 +156,33 @@ class GearboxClient(ABC):
     def _listen(self, key: str, take: Callable[[Any], None]) -> Subscription:
         """Call ``take`` with each message on the topic ``key`` (in TOPICS)."""
         topic = TOPICS[key]
+
+        def heard(message: Any) -> None:
+            self._heard_at = time.monotonic()
+            take(message)
+
         return self._ros.create_subscription(
-            message_type(topic.type), full_topic_name(topic, self._name), take, quality(topic)
+            message_type(topic.type), self._topic_name(key), heard, quality(topic)
         )
+
+    def _advertise(self, key: str) -> Publisher:
+        """Publisher of commands on the topic ``key`` (in TOPICS)."""
+        topic = TOPICS[key]
+        return self._ros.create_publisher(message_type(topic.type), self._topic_name(key), quality(topic))
+
+    def _require_life(self) -> None:
+        """Ask a silent gearbox whether it lives. Raises GearboxError if it does not answer in time."""
+        silence = time.monotonic() - self._heard_at
+        if silence > self._timeout + ASK:
+            raise GearboxError(
+                f"{self._name} sent nothing and answered nothing for {self._timeout:g} s, at "
+                f"{self._progress()}: it is stuck, stopped or killed; see its log, or give a longer --timeout"
+            )
+        if silence > min(ASK, self._timeout):
+            self._start.ask(self._note_life)
+
+    def _note_life(self, _: object) -> None:
+        self._heard_at = time.monotonic()
 
     def _await_gearbox(self, ready: Callable[[], bool], wait: float) -> bool:
         """Serve callbacks until ``ready`` holds; returns False if it does not within ``wait`` s.
@@ -185,13 +277,18 @@ class _StartWatch:
         self._seen_at = self._seen_at or now
         if self._answered:
             return False
-        if now - self._asked_at > ASK and self._state.service_is_ready():
-            self._asked_at = now
-            self._state.call_async(GetState.Request()).add_done_callback(self._note_answer)
+        self.ask(self._note_answer)
         if now - self._seen_at > SLOW_START and not self._told:
             self._told = True
             self._ros.get_logger().info(f"{self._name} is starting, waiting until it answers: see its log")
         return True
+
+    def ask(self, note: Callable[[object], None]) -> None:
+        """Ask the gearbox for its state, at most once in ASK s; ``note`` is called with the answer."""
+        now = time.monotonic()
+        if now - self._asked_at > ASK and self._state.service_is_ready():
+            self._asked_at = now
+            self._state.call_async(GetState.Request()).add_done_callback(note)
 
     def _note_answer(self, _: object) -> None:
         self._answered = True
@@ -205,5 +302,28 @@ def not_seen(gearbox: str, wait: float) -> str:
     """Message for a gearbox that was not found within ``wait`` s."""
     return (
         f"no gearbox {gearbox} was seen for {wait:g} s: start it, name it with --node, compare "
-        "ROS_DOMAIN_ID, give it the same --ros-args -r where topics are remapped, or give a longer --wait"
+        "ROS_DOMAIN_ID, or give a longer --wait"
     )
+
+
+def take_waiting(subscription: Subscription, first: Any, most: int) -> list[Any]:
+    """``first`` and up to ``most`` further messages that have arrived.
+
+    An executor takes one message at a time, which is slow: after a delay a client would stay behind.
+    """
+    kind, messages = type(first), [first]
+    with subscription.handle:
+        for _ in range(most):
+            taken = subscription.handle.take_message(kind, False)
+            if taken is None:
+                break
+            messages.append(taken[0])
+    return messages
+
+
+def require_take_message(subscription: Subscription) -> None:
+    """Raise GearboxError unless rclpy offers to take all messages that have arrived."""
+    if not callable(getattr(subscription.handle, "take_message", None)):
+        raise GearboxError(
+            "rclpy: a subscription has no handle.take_message(type, raw): use the rclpy of ROS 2 Jazzy"
+        )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import random
+from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -19,17 +20,16 @@ from gear_dynamics_ros.events import CHANGE, PAUSE
 from gear_dynamics_ros.messages.cdr import stamp_ns
 from gear_dynamics_ros.messages.decoder import applied_commands
 from gear_dynamics_ros.parameters import specifications
-from gear_dynamics_ros.replay.publish import (
+from gear_dynamics_ros.ros.gearbox_client import GearboxClient, not_seen, ros_context
+from gear_dynamics_ros.script import (
     LockstepScript,
     ResetAction,
     ScriptAction,
     ScriptStep,
+    agree,
     require_chunk_edges,
 )
-from gear_dynamics_ros.ros.gearbox_client import GearboxClient, not_seen, ros_context
-from gear_dynamics_ros.ros.node_topics import quality
 from gear_dynamics_ros.system.processes import noted_signals
-from gear_dynamics_ros.topics import TOPICS, full_topic_name
 
 # Longest simulated time of one call of ~/step. Signals and progress are handled between two calls.
 LONGEST_STEP_NS = 200_000_000
@@ -67,33 +67,27 @@ def play_script(
     """
     with noted_signals() as received, ros_context(node, ros_arguments) as context:
         player = _ScriptClient(context, script, node, timeout, watch, received)
-        failures: list[str] = []
-        try:
-            player.join(wait)
-            player.play()
-        except UsageError:
-            raise
-        except GearboxError as error:
-            failures.append(str(error))
-        try:
-            player.leave()
-        except GearboxError as error:
-            failures.append(f"{node} was not put back as before: {error}")
-        return player.outcome("; ".join(failures))
+        return player.outcome(play_and_leave(player, node, wait))
 
 
-class _GearboxInfo(NamedTuple):
-    """Content of ``~/model_info``."""
+def play_and_leave(client: LockstepClient, node: str, wait: float) -> str:
+    """Play with ``client`` and put the gearbox ``node`` back as before; returns what failed, or "".
 
-    epoch_ns: int
-    interval_ns: int
-    chunk_samples: int
-    joints: tuple[str, str]  # driving, driven
-    stepping: dict[str, Any]  # its stepping parameters before the play
-
-    @property
-    def chunk_ns(self) -> int:
-        return self.chunk_samples * self.interval_ns
+    Raises UsageError if the script does not fit the gearbox.
+    """
+    failures: list[str] = []
+    try:
+        client.join(wait)
+        client.play()
+    except UsageError:
+        raise
+    except GearboxError as error:
+        failures.append(str(error))
+    try:
+        client.leave()
+    except GearboxError as error:
+        failures.append(f"{node} was not put back as before: {error}")
+    return "; ".join(failures)
 
 
 class _InForce(NamedTuple):
@@ -101,34 +95,25 @@ class _InForce(NamedTuple):
     commands: Commands
 
 
-class _ScriptClient(GearboxClient):
-    """Plays one script, all on the caller's thread.
+class LockstepClient(GearboxClient):
+    """Plays one script to a gearbox that it pauses and steps, all on the caller's thread.
 
     A command is published before the step that must use it, but ROS does not guarantee that it arrives first.
     So this is checked: ``~/command/applied`` names the sample from which commands are in force.
     """
 
+    # Upper bound of the chunks of one call of ~/step.
+    most_chunks = MOST_CHUNKS
+
     def __init__(
-        self,
-        context: Context,
-        script: LockstepScript,
-        node: str,
-        timeout: float,
-        watch: Callable[[int], None],
-        received: Sequence[int],
+        self, context: Context, client: str, gearbox: str, timeout: float, received: Sequence[int]
     ) -> None:
-        super().__init__(context, "replay_publish", node, timeout, received)
-        self._script = script
-        self._watch = watch
-        joint = TOPICS["joint_command"]
-        self._commands = self._ros.create_publisher(JointState, full_topic_name(joint, node), quality(joint))
-        self._listen("model_info", self._take_info)
-        self._listen("event", self._take_event)
-        self._listen("applied_command", self._take_applied)
-        self._pause: Any = self._ros.create_client(SetBool, f"{node}/pause")
-        self._step: Any = self._ros.create_client(Trigger, f"{node}/step")
+        """As ``GearboxClient``."""
+        super().__init__(context, client, gearbox, timeout, received)
+        self._pause: Any = self._ros.create_client(SetBool, f"{gearbox}/pause")
+        self._step: Any = self._ros.create_client(Trigger, f"{gearbox}/step")
         self._services = (self._pause, self._step, self._reset, self._parameters)
-        self._gearbox: _GearboxInfo | None = None
+        self._script: LockstepScript | None = None
         self._events: list[Mapping[str, Any]] = []
         self._in_force: _InForce | None = None
         self._expected: dict[int, Commands] = {}  # by stamp
@@ -140,6 +125,19 @@ class _ScriptClient(GearboxClient):
         self._time_ns = 0
         self._published = 0
 
+    @abstractmethod
+    def _make_script(self) -> LockstepScript:
+        """The script to play, for the gearbox as it is now known. Raises UsageError if it does not fit."""
+
+    @abstractmethod
+    def _note_progress(self) -> None:
+        """The gearbox has been stepped to the time ``_time_ns`` of the script."""
+
+    def _connect(self) -> None:
+        self._commands = self._advertise("joint_command")
+        self._listen("event", self._take_event)
+        self._listen("applied_command", self._take_applied)
+
     # The phases of a play, in this order
 
     def join(self, wait: float) -> None:
@@ -150,11 +148,12 @@ class _ScriptClient(GearboxClient):
     def play(self) -> None:
         """Play the script to its end, rounded up to a whole chunk."""
         gearbox = self._known
-        require_chunk_edges(self._script, gearbox.chunk_ns)
-        self._pause_and_locate()
-        steps = self._script.steps
+        self._script = script = self._make_script()
+        require_chunk_edges(script, gearbox.chunk_ns)
+        steps = script.steps
+        self._pause_and_locate(resets=ResetAction() in steps[0].actions)
         ends = [step.time_ns for step in steps[1:]]
-        last = -(-self._script.duration_ns // gearbox.chunk_ns) * gearbox.chunk_ns
+        last = -(-script.duration_ns // gearbox.chunk_ns) * gearbox.chunk_ns
         for step, end_ns in zip(steps, [*ends, last], strict=True):
             for action in step.actions:
                 self._perform(action)
@@ -169,40 +168,36 @@ class _ScriptClient(GearboxClient):
             return
         if self._found_running:
             self._succeed(self._pause, SetBool.Request(data=False), "to continue")
-        self._set(self._known.stepping)
+        self._set({name: self._known.parameters[name] for name in (STEP_CHUNKS, STEP_TIMEOUT)})
 
-    def outcome(self, failure: str) -> ScriptOutcome:
-        """Result of the play; ``failure`` is empty if it succeeded so far."""
+    def _failure(self, failure: str) -> str:
+        """``failure``, or that other commands were in force; empty if all went well."""
         if not failure and self._unexpected is not None:
-            failure = self._other_commands(self._unexpected)
-        return ScriptOutcome(
-            self._origin,
-            self._time_ns,
-            self._published,
-            self._found_running,
-            failure,
-            self._signal(failure),
-        )
+            return self._other_commands(self._unexpected)
+        return failure
 
     # The gearbox
 
-    def _pause_and_locate(self) -> None:
-        """Pause the gearbox; note its next sample, and whether it ran before."""
+    def _pause_and_locate(self, *, resets: bool) -> None:
+        """Pause the gearbox; note its next sample, and whether it ran before.
+
+        ``resets``: whether the script begins with a reset.
+        """
         self._interruptible = False
         self._set({STEP_TIMEOUT: min(self._timeout, specifications()[STEP_TIMEOUT].maximum or self._timeout)})
         self._next_sample()
         self._events.clear()
-        self._pause_gearbox()
+        self._pause_gearbox(resets=resets)
         # Events arrive in order: if the gearbox ran, an event of the pause has arrived before this one.
         self._origin = self._next_sample()
         self._origin_ns = self._known.epoch_ns + self._origin * self._known.interval_ns
         self._found_running = any(event["event"] == PAUSE for event in self._events)
         self._interruptible = True
 
-    def _pause_gearbox(self) -> None:
+    def _pause_gearbox(self, *, resets: bool) -> None:
         request = SetBool.Request(data=True)
         answer = self._answer(self._pause, request, "to pause")
-        if not answer.success and ResetAction() in self._script.steps[0].actions:
+        if not answer.success and resets:
             # A run that has ended can be paused only after a reset.
             self._perform(ResetAction())
             answer = self._answer(self._pause, request, "to pause")
@@ -237,6 +232,8 @@ class _ScriptClient(GearboxClient):
     def _command(self, step: ScriptStep) -> None:
         commands = step.commands
         self._expected[self._origin_ns + step.time_ns] = commands
+        if all(map(math.isnan, commands)):
+            return
         message = JointState(
             name=list(self._known.joints),
             velocity=[commands.speed, math.nan],
@@ -249,20 +246,20 @@ class _ScriptClient(GearboxClient):
     def _advance(self, end_ns: int) -> None:
         """Step the gearbox to the time ``end_ns`` of the script."""
         chunk_ns = self._known.chunk_ns
-        most = min(max(1, LONGEST_STEP_NS // chunk_ns), MOST_CHUNKS)
+        most = min(max(1, LONGEST_STEP_NS // chunk_ns), self.most_chunks)
         while self._time_ns < end_ns:
             chunks = min(most, (end_ns - self._time_ns) // chunk_ns)
             if self._stepping[STEP_CHUNKS] != chunks:
                 self._set({STEP_CHUNKS: chunks})
             self._succeed(self._step, Trigger.Request(), f"to make {chunks} chunks")
             self._time_ns += chunks * chunk_ns
-            self._watch(min(self._time_ns, self._script.duration_ns))
+            self._note_progress()
 
     def _check(self, step: ScriptStep) -> None:
         """Raise GearboxError unless the commands of ``step`` acted from its sample on."""
 
         def reported() -> bool:
-            in_force = self._in_force is not None and self._in_force.commands == step.commands
+            in_force = self._in_force is not None and agree(step.commands, self._in_force.commands)
             return in_force or self._unexpected is not None
 
         self._until(reported, self._timeout)
@@ -277,8 +274,8 @@ class _ScriptClient(GearboxClient):
     def _other_commands(self, found: _InForce) -> str:
         seconds = (found.stamp_ns - self._origin_ns) / 1e9
         return (
-            f"{self._name} has commands in force from {seconds:.9g} s of the recording on that are not those "
-            f"of that moment: {found.commands}; {_DOUBT}"
+            f"{self._name} has commands in force from {seconds:.9g} s of {self._source} on that are not "
+            f"those of that moment: {found.commands}; {_DOUBT}"
         )
 
     def _set(self, values: Mapping[str, Any]) -> None:
@@ -288,41 +285,32 @@ class _ScriptClient(GearboxClient):
         for name in values.keys() & {STEP_CHUNKS, STEP_TIMEOUT}:
             self._stepping[name] = values[name]
 
+    @property
+    def _source(self) -> str:
+        return "the script" if self._script is None else self._script.source
+
     def _progress(self) -> str:
-        return f"{self._time_ns / 1e9:.6g} s of the recording's {self._script.duration_ns / 1e9:.6g} s"
+        if self._script is None:
+            return "its start"
+        played, whole = self._time_ns / 1e9, self._script.duration_ns / 1e9
+        return f"{played:.6g} s of {self._source}'s {whole:.6g} s"
 
     # Messages of the gearbox
-
-    def _take_info(self, message: String) -> None:
-        if self._gearbox is not None:
-            return
-        info = json.loads(message.data)
-        self._gearbox = _GearboxInfo(
-            epoch_ns=info["epoch_ns"],
-            interval_ns=info["sample_interval_ns"],
-            chunk_samples=info["samples_per_chunk"],
-            joints=tuple(info["joints"][:2]),
-            stepping={name: info["parameters"][name] for name in (STEP_CHUNKS, STEP_TIMEOUT)},
-        )
 
     def _take_event(self, message: String) -> None:
         self._events.append(json.loads(message.data))
 
     def _take_applied(self, message: Any) -> None:
         self._in_force = applied = _InForce(stamp_ns(message.header.stamp), applied_commands(message))
-        played = self._origin >= 0 and applied.stamp_ns >= self._origin_ns
-        if played and self._expected.get(applied.stamp_ns) != applied.commands:
+        if self._origin < 0 or applied.stamp_ns < self._origin_ns:
+            return
+        wanted = self._expected.get(applied.stamp_ns)
+        if wanted is None or not agree(wanted, applied.commands):
             self._unexpected = self._unexpected or applied
-
-    @property
-    def _known(self) -> _GearboxInfo:
-        if self._gearbox is None:
-            raise GearboxError(f"{self._name} has not published ~/model_info: see its log")
-        return self._gearbox
 
     def _ready(self) -> bool:
         return (
-            self._gearbox is not None
+            self._info is not None
             and bool(self._commands.get_subscription_count())
             and all(client.service_is_ready() for client in self._services)
         )
@@ -334,3 +322,38 @@ class _ScriptClient(GearboxClient):
             f"{self._name} is there, but was not ready for {wait:g} s: it may be starting or inactive; see "
             "its log, or give a longer --wait"
         )
+
+
+class _ScriptClient(LockstepClient):
+    """Plays a script that does not depend on the gearbox."""
+
+    def __init__(
+        self,
+        context: Context,
+        script: LockstepScript,
+        node: str,
+        timeout: float,
+        watch: Callable[[int], None],
+        received: Sequence[int],
+    ) -> None:
+        super().__init__(context, "replay_publish", node, timeout, received)
+        self._given = script
+        self._watch = watch
+
+    def outcome(self, failure: str) -> ScriptOutcome:
+        """Result of the play; ``failure`` is empty if it succeeded so far."""
+        failure = self._failure(failure)
+        return ScriptOutcome(
+            self._origin,
+            self._time_ns,
+            self._published,
+            self._found_running,
+            failure,
+            self._signal(failure),
+        )
+
+    def _make_script(self) -> LockstepScript:
+        return self._given
+
+    def _note_progress(self) -> None:
+        self._watch(min(self._time_ns, self._given.duration_ns))

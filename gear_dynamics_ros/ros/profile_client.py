@@ -4,31 +4,41 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.publisher import Publisher
-from rclpy.subscription import Subscription
 from std_msgs.msg import Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
+from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.events import END, RESET
+from gear_dynamics_ros.events import END, PAUSE, RESET, RESUME
 from gear_dynamics_ros.harness.player import Player
 from gear_dynamics_ros.harness.profile import Profile
 from gear_dynamics_ros.harness.results import Result, unreached
-from gear_dynamics_ros.messages.decoder import waveform_samples
-from gear_dynamics_ros.ros.gearbox_client import POLL, GearboxClient, not_seen, ros_context
-from gear_dynamics_ros.ros.node_topics import quality
+from gear_dynamics_ros.messages.cdr import stamp_ns
+from gear_dynamics_ros.messages.decoder import AppliedCommands, applied_commands, waveform_samples
+from gear_dynamics_ros.parameters import command_bounds
+from gear_dynamics_ros.ros.gearbox_client import (
+    POLL,
+    GearboxClient,
+    not_seen,
+    require_take_message,
+    ros_context,
+    take_waiting,
+)
 from gear_dynamics_ros.system.processes import noted_signals
-from gear_dynamics_ros.topics import TOPICS, full_topic_name
+from gear_dynamics_ros.topics import TOPICS
 
 # s of wall time after which an unchanged value is published again: the gearbox may have a command time-out.
 REPEAT = 0.1
 # s of wall time to wait for further chunks after the gearbox has ended or disappeared.
 DRAIN = 0.5
+# Messages about commands in force that are taken at once.
+APPLIED_AT_ONCE = 100
 
 
 class ProfileOutcome(NamedTuple):
@@ -36,6 +46,9 @@ class ProfileOutcome(NamedTuple):
 
     results: tuple[Result, ...]  # of its expectations
     published: int  # commands
+    lateness: Sequence[float]  # s of simulated time from where each command was due to where it acted
+    real_time_factor: float  # simulated time over wall time, as received; 0 if nothing was
+    state: str  # of the gearbox after lockstep: "runs again" or "stays paused"; empty if it was not changed
     failure: str  # why it was not played to its end; empty if it was
     signal: int  # number of the signal that interrupted it, 0 if none did
 
@@ -81,18 +94,26 @@ class _ProfileClient(GearboxClient):
         super().__init__(context, "drive", node, timeout, received)
         self._profile = profile
         self._watch = watch
-        self._publishers = {name: self._command_publisher(name) for name in profile.commands}
-        self._waveform = self._listen("waveform", self._take_chunks)
-        require_take_message(self._waveform)
-        self._listen("event", self._take_event)
+        self._publishers: dict[str, Publisher] = {}
         self._player: Player | None = None
         self._joined = False
         self._reset_time = -1.0  # simulated time of the last reset event
         self._last_chunk = 0.0  # wall time
+        self._first_chunk = 0.0  # wall time of profile time 0
         self._last_time = 0.0  # simulated time
+        self._in_force: AppliedCommands | None = None
+        self._paused = False
+        self._acted_at = 0.0  # wall time since which commands are awaited
         self._end = (-1.0, "")  # simulated time and reason of the last end event
         self._last_published: dict[str, tuple[float, float]] = {}  # command: value, wall time
         self._published = 0
+
+    def _connect(self) -> None:
+        self._publishers = {name: self._advertise(f"{name}_command") for name in self._profile.commands}
+        self._applied = self._listen("applied_command", self._take_applied)
+        self._waveform = self._listen("waveform", self._take_chunks)
+        require_take_message(self._waveform)
+        self._listen("event", self._take_event)
 
     def join(self, wait: float) -> None:
         """Wait until the gearbox offers what the profile needs and sends its waveform."""
@@ -104,8 +125,10 @@ class _ProfileClient(GearboxClient):
         refusal = self._refusal(self._profile.parameters) if self._profile.parameters else ""
         if refusal:
             raise GearboxError(f"{self._name} refused the profile's parameters: {refusal}")
+        self._in_force = self._changed_by(self._profile.parameters)
         if self._profile.reset:
             self._reset_gearbox()
+            self._in_force = self._changed_by({**self._present, **self._profile.parameters})
         self._joined = True
         self._last_chunk = time.monotonic()
 
@@ -118,19 +141,49 @@ class _ProfileClient(GearboxClient):
                 f"{self._name} published no event of its reset for {self._timeout:g} s: see its log"
             )
 
+    def _changed_by(self, parameters: Mapping[str, Any]) -> AppliedCommands | None:
+        """The commands in force after ``parameters`` were set, of which some are commands."""
+        if self._in_force is None:
+            return None
+        values = {name: parameters.get(f"operation.{name}") for name in Commands._fields}
+        given = {name: float(value) for name, value in values.items() if value is not None}
+        return self._in_force._replace(commands=self._in_force.commands._replace(**given))
+
     def follow(self) -> None:
         """Play until the profile has ended."""
-        timeout = self._timeout
         while not (self._player is not None and self._player.finished):
             self._spin(POLL)
-            silence = time.monotonic() - self._last_chunk
-            if silence > min(DRAIN, timeout) and (self._ended or not self._waveform_publishers()):
-                raise GearboxError(self._ending())
-            if silence > timeout:
-                raise GearboxError(
-                    f"{self._name} sent no waveform for {timeout:g} s after {self._progress()}: "
-                    "see whether it is paused, stuck or killed, or give a longer --timeout"
-                )
+            self._require_chunks()
+            self._require_commands()
+
+    def _require_chunks(self) -> None:
+        """Raise GearboxError if no more chunks will come: a gearbox that is paused or slow is waited for."""
+        self._require_life()
+        silence = time.monotonic() - self._last_chunk
+        if silence > min(DRAIN, self._timeout) and (self._ended or not self._waveform_publishers()):
+            raise GearboxError(self._ending())
+        if not self._paused and silence > self._timeout + self._chunk_time():
+            raise GearboxError(
+                f"{self._name} answers, but sent no waveform for {silence:.3g} s after {self._progress()}: "
+                "see its log"
+            )
+
+    def _chunk_time(self) -> float:
+        """Wall time that a chunk takes at the pace of the gearbox, s."""
+        factor = float(self._present["pacing.real_time_factor"])
+        return self._known.chunk_ns / 1e9 / factor if factor > 0.0 else 0.0
+
+    def _require_commands(self) -> None:
+        """Raise GearboxError if the gearbox goes on without putting the commands in force."""
+        now, player = time.monotonic(), self._player
+        if player is None or not player.awaiting or self._paused:
+            self._acted_at = now
+        elif now - self._acted_at > self._timeout + 2.0 * self._chunk_time():
+            awaited = ", ".join(f"{name} {value:g}" for name, value in player.awaiting.items())
+            raise GearboxError(
+                f"{self._name} did not put {awaited} in force within {now - self._acted_at:.3g} s at "
+                f"{self._progress()}: it refused it (see its log), or another client commands it"
+            )
 
     def outcome(self, failure: str) -> ProfileOutcome:
         """The results so far, after all published commands were acknowledged."""
@@ -138,17 +191,16 @@ class _ProfileClient(GearboxClient):
             publisher.wait_for_all_acked(Duration(seconds=DRAIN))
         player = self._player
         results = unreached(self._profile.expectations) if player is None else player.results()
-        return ProfileOutcome(results, self._published, failure, self._signal(failure))
+        lateness = [] if player is None else player.lateness
+        elapsed = self._last_chunk - self._first_chunk
+        factor = 0.0 if player is None or elapsed <= 0.0 else player.simulated / elapsed
+        return ProfileOutcome(results, self._published, lateness, factor, "", failure, self._signal(failure))
 
     @property
     def _ended(self) -> str:
         """Reason of the end of the run; empty if it has not ended, or continues after a reset."""
         time, reason = self._end
         return reason if time >= self._last_time else ""
-
-    def _command_publisher(self, command: str) -> Publisher:
-        topic = TOPICS[f"{command}_command"]
-        return self._ros.create_publisher(Float64, full_topic_name(topic, self._name), quality(topic))
 
     def _waveform_publishers(self) -> int:
         return int(self._ros.count_publishers(self._waveform.topic_name))
@@ -163,11 +215,17 @@ class _ProfileClient(GearboxClient):
         return not self._profile.reset or bool(self._reset.service_is_ready())
 
     def _ready(self) -> bool:
-        return self._last_chunk > 0.0 and self._listening() and self._settable() and self._resettable()
+        heard = self._last_chunk > 0.0 and self._in_force is not None
+        return heard and self._listening() and self._settable() and self._resettable()
 
     def _absence(self, wait: float) -> str:
         if not self._seen:
             return not_seen(self._name, wait)
+        if self._info is None:
+            return (
+                f"{self._name} is there, but published no ~/model_info for {wait:g} s: it may be starting or "
+                "inactive; see its log, or give a longer --wait"
+            )
         if not self._listening():
             return (
                 f"{self._name} does not listen to {', '.join(self._publishers)} after {wait:g} s: see its log"
@@ -193,28 +251,39 @@ class _ProfileClient(GearboxClient):
 
     def _take_event(self, message: String) -> None:
         event = json.loads(message.data)
-        if event["event"] == RESET:
+        if event["event"] in (PAUSE, RESUME):
+            self._note_pause(paused=event["event"] == PAUSE)
+        elif event["event"] == RESET:
             self._reset_time = float(event["time"])
         elif event["event"] == END:
             self._end = (float(event["time"]), str(event["message"]) or "no reason given")
 
-    def _take_chunks(self, message: Float64MultiArray) -> None:
-        """Take all chunks that have arrived, then publish the commands that are due.
+    def _note_pause(self, *, paused: bool) -> None:
+        self._paused = paused
+        self._last_chunk = time.monotonic()
+        if paused and self._player is not None:
+            self._ros.get_logger().info(f"{self._name} is paused at {self._progress()}: waiting for it")
 
-        An executor takes one message at a time, which is slow: after a delay the harness would stay behind.
-        """
-        waiting = [message]
-        with self._waveform.handle:
-            for _ in range(TOPICS["waveform"].depth):
-                taken = self._waveform.handle.take_message(Float64MultiArray, False)
-                if taken is None:
-                    break
-                waiting.append(taken[0])
+    def _take_applied(self, message: Any) -> None:
+        for applied in take_waiting(self._applied, message, APPLIED_AT_ONCE):
+            self._note_applied(AppliedCommands(stamp_ns(applied.header.stamp), applied_commands(applied)))
+        if self._player is not None:
+            self._publish(self._player.commands())
+
+    def _note_applied(self, applied: AppliedCommands) -> None:
+        self._in_force = applied
+        self._acted_at = time.monotonic()
+        if self._player is not None:
+            self._player.acted(self._known.sample(applied.time_ns), applied.commands)
+
+    def _take_chunks(self, message: Float64MultiArray) -> None:
+        """Take all chunks that have arrived, then publish the commands that are due."""
+        waiting = take_waiting(self._waveform, message, TOPICS["waveform"].depth)
         if self._joined and self._player is None:
             # Begin with the newest chunk. With an older one, the first commands would be late.
             del waiting[:-1]
-        for message in waiting:
-            self._take_chunk(message)
+        for chunk in waiting:
+            self._take_chunk(chunk)
         if self._player is not None:
             self._publish(self._player.commands())
             self._watch(self._player)
@@ -228,8 +297,16 @@ class _ProfileClient(GearboxClient):
         if self._player is None and self._last_time < self._reset_time:
             return
         if self._player is None:
-            self._player = Player(self._profile, channels)
+            self._player = Player(self._profile, channels, self._accepts)
+            self._first_chunk = self._last_chunk
+            if self._in_force is not None:
+                self._player.acted(self._known.sample(self._in_force.time_ns), self._in_force.commands)
         self._player.feed(samples)
+
+    def _accepts(self, name: str, value: float) -> bool:
+        """Whether the gearbox takes the command: it refuses one that is out of bounds and keeps the last."""
+        lowest, highest = command_bounds(float(self._present["operation.speed_limit"]))[name]
+        return lowest <= value <= highest
 
     def _publish(self, values: dict[str, float]) -> None:
         now = time.monotonic()
@@ -239,11 +316,3 @@ class _ProfileClient(GearboxClient):
                 self._publishers[name].publish(Float64(data=value))
                 self._last_published[name] = (value, now)
                 self._published += 1
-
-
-def require_take_message(subscription: Subscription) -> None:
-    """Raise GearboxError unless rclpy offers to take all messages that have arrived."""
-    if not callable(getattr(subscription.handle, "take_message", None)):
-        raise GearboxError(
-            "rclpy: a subscription has no handle.take_message(type, raw): use the rclpy of ROS 2 Jazzy"
-        )

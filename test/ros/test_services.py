@@ -32,7 +32,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.ros.deferred_answers import SPACING, AnswerSender, Spacing, require_send_response
-from gear_dynamics_ros.ros.profile_client import require_take_message
+from gear_dynamics_ros.ros.gearbox_client import require_take_message
 from support.gearbox import PATIENCE, start_gearbox
 from support.processes import Process, StartProcess, until
 
