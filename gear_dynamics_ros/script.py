@@ -56,7 +56,7 @@ def require_chunk_edges(script: LockstepScript, chunk_ns: int) -> None:
     if inside is not None:
         fitting = math.gcd(*times, chunk_ns) / 1e9
         raise UsageError(
-            f"{script.source} has commands or events {inside / 1e9:.9g} s after its start, within a "
-            f"chunk of the gearbox's solver.chunk = {chunk_ns / 1e9:.9g} s: start the gearbox with "
+            f"{script.source} has commands or events {inside / 1e9:.9g} s after its first sample, within "
+            f"a chunk of the gearbox's solver.chunk = {chunk_ns / 1e9:.9g} s: start the gearbox with "
             f"solver.chunk = {fitting:.9g} s"
         )

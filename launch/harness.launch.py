@@ -25,6 +25,11 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "junit", default_value="", description="file for the results as JUnit XML; empty: none"
             ),
+            DeclareLaunchArgument(
+                "lockstep",
+                default_value="false",
+                description="true: step the gearbox, so that each command acts at exactly its sample",
+            ),
             IncludeLaunchDescription(PythonLaunchDescriptionSource(str(gearbox))),
             OpaqueFunction(function=_drive),
         ]
@@ -33,11 +38,14 @@ def generate_launch_description() -> LaunchDescription:
 
 def _drive(context: LaunchContext) -> list[Node]:
     chosen = {
-        name: LaunchConfiguration(name).perform(context) for name in ("profile", "junit", "namespace", "name")
+        name: LaunchConfiguration(name).perform(context)
+        for name in ("profile", "junit", "lockstep", "namespace", "name")
     }
     node = f"/{chosen['namespace'].strip('/')}/{chosen['name']}".replace("//", "/")
     # How long the start of the gearbox takes does not count. If it fails, its launch file ends the launch.
     arguments = [chosen["profile"], "--node", node, "--wait", "60"]
+    if chosen["lockstep"].lower() in ("true", "1"):
+        arguments.append("--lockstep")
     if chosen["junit"]:
         arguments += ["--junit", chosen["junit"]]
     return [

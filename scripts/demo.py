@@ -10,12 +10,14 @@ import signal
 import subprocess
 import sys
 import sysconfig
+import time
 from pathlib import Path
 
 SOURCE = Path(__file__).resolve().parent.parent
 PROFILE = SOURCE / "config" / "profiles" / "demo.yaml"
 PARAMETERS = SOURCE / "config" / "gearbox.yaml"
 STOP_SECONDS = 60.0
+POLL_SECONDS = 0.1
 # On Linux, domains above 101 share their UDP ports with the ephemeral range.
 DOMAINS = range(1, 102)
 
@@ -40,18 +42,16 @@ def main() -> int:
         "rerun.path": str(stream),
     }
     overrides = [word for name, value in settings.items() for word in ("-p", f"{name}:={value}")]
-    say("starting the node gearbox")
-    gearbox = subprocess.Popen(
-        [executable("gearbox"), "--ros-args", "--params-file", str(PARAMETERS), *overrides],
-        env=environment,
-        start_new_session=True,
+    say(f"playing {PROFILE.relative_to(SOURCE)} to the node gearbox: run-up, load step, torque reversal")
+    # drive starts first: what the gearbox records before drive has joined is of no use.
+    drive = start("drive", str(PROFILE), "--lockstep", "--wait", "60", environment=environment)
+    gearbox = start(
+        "gearbox", "--ros-args", "--params-file", str(PARAMETERS), *overrides, environment=environment
     )
     try:
-        say(f"playing {PROFILE.relative_to(SOURCE)} to it in lockstep: run-up, load step, torque reversal")
-        played = subprocess.run(
-            [executable("drive"), str(PROFILE), "--lockstep", "--wait", "60"], env=environment
-        ).returncode
+        played = wait_for(drive, gearbox)
     finally:
+        stop(drive)
         stopped = stop(gearbox)
     if played or stopped:
         print(f"demo: error: drive exited with {played}, gearbox with {stopped}", file=sys.stderr)
@@ -79,8 +79,22 @@ def clear(output: Path, results: tuple[Path, ...]) -> None:
             result.unlink(missing_ok=True)
 
 
+def start(name: str, *words: str, environment: dict[str, str]) -> subprocess.Popen[bytes]:
+    """Start one of the package's commands in a process group of its own."""
+    return subprocess.Popen([executable(name), *words], env=environment, start_new_session=True)
+
+
+def wait_for(drive: subprocess.Popen[bytes], gearbox: subprocess.Popen[bytes]) -> int:
+    """Exit code of ``drive``; 1 at once if the gearbox ends before it."""
+    while drive.poll() is None:
+        if gearbox.poll() is not None:
+            return 1
+        time.sleep(POLL_SECONDS)
+    return int(drive.returncode)
+
+
 def stop(process: subprocess.Popen[bytes]) -> int:
-    """Interrupt the node as Ctrl-C does and wait until its files are finished; returns its exit code."""
+    """Interrupt the process as Ctrl-C does and wait until its files are finished; returns its exit code."""
     if process.poll() is None:
         process.send_signal(signal.SIGINT)
     try:

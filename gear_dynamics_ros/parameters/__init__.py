@@ -1,5 +1,6 @@
 """What can be set: one tree of parameters for the node and all tools, in SI units. No ROS, no physics."""
 
+from gear_dynamics_ros.parameters.bounds import command_bounds
 from gear_dynamics_ros.parameters.changes import (
     ParameterChange,
     change_to,
@@ -8,7 +9,6 @@ from gear_dynamics_ros.parameters.changes import (
     updated,
 )
 from gear_dynamics_ros.parameters.checks import MOST_WAVES_PER_REVOLUTION
-from gear_dynamics_ros.parameters.commands import command_bounds
 from gear_dynamics_ros.parameters.groups import (
     BearingParameters,
     GearPairParameters,

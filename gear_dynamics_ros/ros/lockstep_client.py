@@ -319,8 +319,8 @@ class LockstepClient(GearboxClient):
         if not self._seen:
             return not_seen(self._name, wait)
         return (
-            f"{self._name} is there, but was not ready for {wait:g} s: it may be starting or inactive; see "
-            "its log, or give a longer --wait"
+            f"{self._name} is there, but was not ready for {wait:g} s: it may be starting, inactive, "
+            "or have ~/model_info remapped; see its log, give the same --ros-args -r, or a longer --wait"
         )
 
 

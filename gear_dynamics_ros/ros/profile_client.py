@@ -162,10 +162,12 @@ class _ProfileClient(GearboxClient):
         silence = time.monotonic() - self._last_chunk
         if silence > min(DRAIN, self._timeout) and (self._ended or not self._waveform_publishers()):
             raise GearboxError(self._ending())
-        if not self._paused and silence > self._timeout + self._chunk_time():
+        # Only what was heard after that time tells that it lives: otherwise wait for the answer.
+        answered_after = self._heard_at - self._last_chunk
+        if not self._paused and answered_after > self._timeout + self._chunk_time():
             raise GearboxError(
                 f"{self._name} answers, but sent no waveform for {silence:.3g} s after {self._progress()}: "
-                "see its log"
+                "see its log, or give a longer --timeout"
             )
 
     def _chunk_time(self) -> float:
@@ -175,13 +177,13 @@ class _ProfileClient(GearboxClient):
 
     def _require_commands(self) -> None:
         """Raise GearboxError if the gearbox goes on without putting the commands in force."""
-        now, player = time.monotonic(), self._player
+        player = self._player
         if player is None or not player.awaiting or self._paused:
-            self._acted_at = now
-        elif now - self._acted_at > self._timeout + 2.0 * self._chunk_time():
+            self._acted_at = time.monotonic()
+        elif self._last_chunk - self._acted_at > self._timeout + 2.0 * self._chunk_time():
             awaited = ", ".join(f"{name} {value:g}" for name, value in player.awaiting.items())
             raise GearboxError(
-                f"{self._name} did not put {awaited} in force within {now - self._acted_at:.3g} s at "
+                f"{self._name} did not put {awaited} in force within {self._timeout:g} s at "
                 f"{self._progress()}: it refused it (see its log), or another client commands it"
             )
 
@@ -223,8 +225,9 @@ class _ProfileClient(GearboxClient):
             return not_seen(self._name, wait)
         if self._info is None:
             return (
-                f"{self._name} is there, but published no ~/model_info for {wait:g} s: it may be starting or "
-                "inactive; see its log, or give a longer --wait"
+                f"{self._name} is there, but published no ~/model_info for {wait:g} s: it may be starting, "
+                "inactive, or have that topic remapped; see its log, give the same --ros-args -r, or a "
+                "longer --wait"
             )
         if not self._listening():
             return (

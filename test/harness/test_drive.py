@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import signal
+import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 import rclpy
 from lifecycle_msgs.srv import GetState
+from numpy.typing import NDArray
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from gear_dynamics_ros import recording
 from support.gearbox import Client, Peer, shared_gearbox, start_gearbox
 from support.paths import CONFIG
-from support.processes import Process, StartProcess
+from support.processes import Process, StartProcess, until
 
 # `make demo` plays demo.yaml.
 SHIPPED = sorted(path for path in (CONFIG / "profiles").glob("*.yaml") if path.stem != "demo")
@@ -62,6 +67,27 @@ reset: true
 commands: {load_torque: [{at: 0.1, value: 20.0}]}
 expectations:
   - {name: load of the start state, every: load_torque, from: 0.0, to: 0.1, target: 30.0, tolerance: 0.0}
+"""
+RAMP = """
+commands: {load_torque: [{at: 0.0, value: 20.0}, {from: 0.01, to: 2.0, value: 40.0}]}
+expectations:
+  - {name: impossible, largest: load_torque, from: 0.1, to: 2.0, minimum: 1e3}
+"""
+REFUSED = """
+duration: 0.2
+commands: {speed: [{at: 0.1, value: 6000.0}]}
+expectations:
+  - {name: still, mean: driving_speed, from: 0.1, to: 0.2, target: 400.0, tolerance: 100.0}
+"""
+LOCKSTEP = """
+reset: true
+parameters: {operation.control: speed}
+commands:
+  speed: [{at: 0.1, value: 900.0}]
+  load_torque: [{at: 0.2, value: 45.0}]
+expectations:
+  - {name: not early, every: load_torque, from: 0.0, to: 0.2, target: 30.0, tolerance: 0.0}
+  - {name: not late, every: load_torque, from: 0.2, to: 0.6, target: 45.0, tolerance: 0.0}
 """
 LONG = """
 expectations:
@@ -227,7 +253,9 @@ def test_the_start_of_a_gearbox_may_take_longer_than_the_wait(
     while run.returncode is None:
         executor.spin_once(timeout_sec=0.1)
     assert run.wait() == 1
-    assert "/gearbox is there, but sent no waveform for 4 s: it may be starting, inactive" in run.stderr
+    assert (
+        "/gearbox is there, but published no ~/model_info for 4 s: it may be starting, inactive" in run.stderr
+    )
 
 
 def test_a_gearbox_that_ends_while_it_starts_is_not_waited_for(
@@ -269,6 +297,153 @@ def test_the_end_of_the_run_is_told_with_its_reason(
     (line,) = run.stderr.splitlines()
     assert line.startswith("drive: error: /gearbox ended the run at ")
     assert "over-speed" in line
+
+
+@pytest.fixture
+def stopped(shared: Shared) -> Iterator[Process]:
+    """The shared gearbox; its process goes on at the end."""
+    shared.client.put_back(shared.parameters)
+    yield shared.process
+    shared.process.signal(signal.SIGCONT)
+
+
+@pytest.mark.parametrize("option", [[], ["--lockstep"]], ids=["own pace", "lockstep"])
+def test_a_gearbox_that_hangs_is_told_in_bounded_time(
+    stopped: Process, process: StartProcess, profile: Path, option: list[str]
+) -> None:
+    run = drive(process, profile, LONG, "--wait", "60", "--timeout", "2", *option)
+    run.wait_for("joined")
+    stopped.signal(signal.SIGSTOP)
+    assert run.wait() == 1, run.output
+    (line,) = run.stderr.splitlines()
+    assert line.startswith("drive: error: /gearbox ")
+    assert "2 s" in line and "--timeout" in line
+
+
+def test_a_gearbox_that_hangs_before_drive_has_joined_is_told_within_the_wait(
+    stopped: Process, process: StartProcess, profile: Path
+) -> None:
+    stopped.signal(signal.SIGSTOP)
+    run = drive(process, profile, LONG, "--wait", "2", "--timeout", "2")
+    assert run.wait() == 1, run.output
+    assert "drive: error: " in run.stderr
+
+
+def test_a_gearbox_that_is_paused_is_waited_for(
+    gearbox: Process, shared: Shared, process: StartProcess, profile: Path
+) -> None:
+    run = drive(process, profile, STEP, "--wait", "60", "--timeout", "0.5")
+    run.wait_for("joined")
+    assert shared.client.switch("pause", True).success
+    run.wait_for("/gearbox is paused at ")
+    asked = time.monotonic()
+    until(lambda: time.monotonic() > asked + 3.0, "six time-outs")
+    assert run.returncode is None, run.output
+    assert shared.client.switch("pause", False).success
+    assert run.wait() == 0, run.output
+
+
+def test_a_gearbox_that_is_slow_is_waited_for(
+    gearbox: Process, shared: Shared, process: StartProcess, profile: Path
+) -> None:
+    assert shared.client.put("pacing.real_time_factor", 2e-3).successful
+    short = "commands: {load_torque: [{at: 0.0, value: 20.0}]}\nduration: 0.004"
+    run = drive(process, profile, short, "--wait", "60", "--timeout", "0.3")
+    assert run.wait() == 0, run.output
+
+
+def test_commands_that_a_slow_machine_left_out_are_told_instead_of_the_expectation(
+    gearbox: Process, process: StartProcess, profile: Path
+) -> None:
+    report = profile.with_suffix(".xml")
+    run = drive(process, profile, RAMP, "--wait", "60", "--junit", str(report))
+    run.wait_for("joined")
+    run.signal(signal.SIGSTOP)
+    stopped_at = time.monotonic()
+    until(lambda: time.monotonic() > stopped_at + 1.5, "the gearbox has gone on")
+    run.signal(signal.SIGCONT)
+    assert run.wait() == 1, run.output
+    unjudged, error = run.stderr.splitlines()
+    assert unjudged.startswith("drive: impossible: largest of load_torque in 0.1 to 2 s can't be judged: ")
+    assert error.startswith("drive: error: the machine was too slow: simulated time ran at 0.")
+    assert error.endswith(" s late; use --lockstep")
+    (suite,) = ElementTree.parse(report).getroot()
+    assert [[child.tag for child in case] for case in suite] == [["error"]]
+
+
+def test_refused_commands_are_not_waited_for(gearbox: Process, process: StartProcess, profile: Path) -> None:
+    run = drive(process, profile, REFUSED, "--wait", "60")
+    assert run.wait() == 0, run.output
+
+
+def test_a_profile_in_lockstep_gives_the_same_bits_at_any_load_and_chunk_length(
+    ros_domain: int, process: StartProcess, profile: Path
+) -> None:
+    profile.write_text(LOCKSTEP)
+    folder = profile.parent
+    for name, chunk in (("one", "0.002"), ("two", "0.001"), ("three", "0.002")):
+        busy = [process(sys.executable, "-c", "while True: pass") for _ in range(2 if name == "three" else 0)]
+        words = (f"recording.path:={folder / name}", f"solver.chunk:={chunk}")
+        start_gearbox(process, *words, remap=[f"__node:={name}"])
+        run = process("drive", profile, "--lockstep", "--node", name, "--wait", "60")
+        assert run.wait() == 0, run.output
+        assert f"/{name} runs again, as before" in run.stdout
+        assert "2 commands published" in run.stdout
+        with Peer("operator", f"/{name}") as operator:
+            assert operator.switch("record", False).success
+            assert operator.get_all(["stepping.chunks", "stepping.timeout"]) == {
+                "stepping.chunks": 1, "stepping.timeout": 10.0,
+            }  # fmt: skip
+        for one in busy:
+            one.stop()
+    waveforms = [after_reset(recording.open(folder / name)) for name in ("one", "two", "three")]
+    assert len({waveform.tobytes() for waveform in waveforms}) == 1
+
+
+def after_reset(bag: recording.Recording) -> NDArray[np.float64]:
+    """What the profile made, without the channel `time`."""
+    (first,) = [event.sample for event in bag.events if event.kind == "reset"]
+    rows = bag.waveform(first, first + 60_000)[:, 1:]
+    assert len(rows) == 60_000
+    return rows
+
+
+@pytest.mark.parametrize("paused", [True, False], ids=["paused", "running"])
+def test_an_interrupted_lockstep_leaves_the_gearbox_as_it_was(
+    gearbox: Process, shared: Shared, process: StartProcess, profile: Path, paused: bool
+) -> None:
+    assert shared.client.switch("pause", paused).success
+    run = drive(process, profile, LONG, "--lockstep", "--wait", "60")
+    run.wait_for("joined")
+    run.signal_group(signal.SIGINT)
+    assert run.wait() == 130, run.output
+    assert f"/gearbox {'stays paused' if paused else 'runs again'}, as before" in run.stdout
+    assert shared.client.switch("pause", paused).message.startswith("already ")
+    assert shared.client.get("stepping.chunks") == 1
+
+
+def test_in_lockstep_a_failed_expectation_and_a_refused_command_are_told(
+    gearbox: Process, process: StartProcess, profile: Path
+) -> None:
+    run = drive(process, profile, IMPOSSIBLE, "--lockstep", "--wait", "60")
+    assert run.wait() == 1, run.output
+    assert "drive: failed: impossible torque: largest of load_torque in 0.15 to 0.25 s is 20" in run.stderr
+    run = drive(process, profile, REFUSED, "--lockstep", "--timeout", "1")
+    assert run.wait() == 1, run.output
+    (line,) = run.stderr.splitlines()
+    assert "it may have refused one" in line
+
+
+def test_an_entry_within_a_chunk_is_refused_in_lockstep_before_anything_is_done(
+    gearbox: Process, shared: Shared, process: StartProcess, profile: Path
+) -> None:
+    known = len(shared.client.events())
+    odd = "commands: {load_torque: [{at: 0.0, value: 20.0}, {at: 0.001, value: 30.0}]}\nduration: 0.01"
+    run = drive(process, profile, odd, "--lockstep", "--wait", "60")
+    assert run.wait() == 2, run.output
+    (line,) = run.stderr.splitlines()
+    assert line.endswith("start the gearbox with solver.chunk = 0.001 s")
+    assert shared.client.events()[known:] == []
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)

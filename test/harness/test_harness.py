@@ -14,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.channels import CHANNEL_NAMES
+from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.cli import drive
 from gear_dynamics_ros.cli.progress import ProgressLine
 from gear_dynamics_ros.errors import GearboxError, UsageError
@@ -479,7 +480,10 @@ def test_progress_is_drawn_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -
             ],
         }
     )
-    player = play(profile, waveform(0, 200), [100])
+    player = Player(profile, CHANNELS)
+    player.feed(waveform(0, 100))
+    player.acted(100, Commands(drive_torque=0.0, load_torque=0.0, speed=123.0))
+    player.feed(waveform(100, 100))
     for terminal, expected in (
         (Terminal(), "0.00 of 0.003 s  speed 123  expectations: 0 passed, 1 failed, 1 to come"),
         (io.StringIO(), ""),

@@ -13,7 +13,7 @@ from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.harness.profile import Profile, step_profile
 from gear_dynamics_ros.parameters import Parameters, change_values, updated
 from gear_dynamics_ros.replay import publish
-from gear_dynamics_ros.replay.publish import ChangeAction, ResetAction
+from gear_dynamics_ros.script import ChangeAction, ResetAction, require_chunk_edges
 from gear_dynamics_ros.simulation.engine import Engine
 from support.recordings import record
 
@@ -137,10 +137,10 @@ def test_a_recording_after_a_reset_begins_at_the_start_state(tmp_path: Path) -> 
 
 def test_a_moment_within_a_chunk_is_refused_with_the_chunk_that_fits(eventful) -> None:
     script = publish.full_script(eventful)
-    publish.require_chunk_edges(script, CHUNK_NS)
-    publish.require_chunk_edges(script, 2 * CHUNK_NS)
+    require_chunk_edges(script, CHUNK_NS)
+    require_chunk_edges(script, 2 * CHUNK_NS)
     with pytest.raises(UsageError) as caught:
-        publish.require_chunk_edges(script, 3 * CHUNK_NS)
+        require_chunk_edges(script, 3 * CHUNK_NS)
     assert "0.004 s after its first sample" in str(caught.value)
     assert "solver.chunk = 0.006 s" in str(caught.value)
     assert str(caught.value).endswith("start the gearbox with solver.chunk = 0.002 s")

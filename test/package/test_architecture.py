@@ -39,7 +39,6 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
         "recording",
         "viewer",
         "realtime",
-        "replay",
         "harness",
     },
     "cli": {

@@ -141,6 +141,10 @@ def test_drive_understands_what_it_is_started_with() -> None:
     arguments = drive._parser().parse_args(node.options["arguments"])
     assert (arguments.profile, arguments.junit) == (Path("my.yaml"), Path("results.xml"))
     assert arguments.node == "/rig/left"
+    assert arguments.play is not drive._play_in_lockstep
+    node = started_drive(lockstep="true")
+    arguments = drive._parser().parse_args(node.options["arguments"])
+    assert arguments.play is drive._play_in_lockstep
 
 
 def test_launch_ends_with_drive_and_in_an_error_if_it_failed() -> None:

@@ -31,6 +31,7 @@ from support.processes import until
 TCP_LISTEN = "0A"
 # That a node has once it is complete.
 A_TOPIC = {"gearbox": "/gearbox/waveform", "drive": "/gearbox/command/load_torque"}
+COARSE = ("--set", "model=traditional", "--set", "solver.step=1e-5")  # quickly simulated
 PROFILE = """
 description: longer than the test
 duration: 60.0
@@ -297,15 +298,20 @@ def test_the_policy_covers_every_topic():
 
 
 def test_the_policy_grants_what_the_live_nodes_use_and_no_more(ros_domain, process, observer, tmp_path):
-    for name in start(process, tmp_path, "clock_rate:=10.0"):
-        graph = observer.settled_graph(name, A_TOPIC[name])
-        assert graph == policy_profile(name)
+    started = start(process, tmp_path, "clock_rate:=10.0")
+    graph = observer.settled_graph("gearbox", A_TOPIC["gearbox"])
+    assert graph == policy_profile("gearbox")
+    at_own_pace = observer.settled_graph("drive", A_TOPIC["drive"])
+    assert started["drive"].stop() == 130
+    process("drive", tmp_path / "profile.yaml", "--lockstep", "--wait", PATIENCE)
+    in_lockstep = observer.settled_graph("drive", "/gearbox/command/joint")
+    assert tuple(map(set.union, at_own_pace, in_lockstep)) == policy_profile("drive")
 
 
 def test_the_policy_grants_what_replay_publish_uses_and_no_more(ros_domain, process, observer, tmp_path):
-    simulate = process("simulate", "--duration", "0.01", "--output", tmp_path / "bag")
+    simulate = process("simulate", "--duration", "10", "--output", tmp_path / "bag", *COARSE)
     assert simulate.wait() == 0, simulate.output
-    # It opens all that it uses, and then waits for a gearbox.
+    start_gearbox(process)
     process("replay", "publish", tmp_path / "bag", "--lockstep", "--wait", PATIENCE)
     graph = observer.settled_graph("replay_publish", "/gearbox/command/joint")
     assert graph == policy_profile("replay_publish")
