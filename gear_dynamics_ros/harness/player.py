@@ -117,6 +117,11 @@ class Player:
         return self._reached * self._interval_ns / 1e9
 
     @property
+    def next_sample(self) -> int:
+        """Index of the sample after the last one that was taken."""
+        return self._origin + self._reached
+
+    @property
     def started_at(self) -> float:
         """Simulated time of the gearbox at profile time 0, s."""
         return self._origin * self._interval_ns / 1e9

@@ -176,11 +176,18 @@ class _ProfileClient(GearboxClient):
         return self._known.chunk_ns / 1e9 / factor if factor > 0.0 else 0.0
 
     def _require_commands(self) -> None:
-        """Raise GearboxError if the gearbox goes on without putting the commands in force."""
-        player = self._player
-        if player is None or not player.awaiting or self._paused:
+        """Raise GearboxError if the gearbox goes on without the commands for which the player waits."""
+        player, in_force = self._player, self._in_force
+        waits = player is not None and player.awaiting and self._profile.expectations
+        if player is None or in_force is None or not waits or self._paused:
             self._acted_at = time.monotonic()
-        elif self._last_chunk - self._acted_at > self._timeout + 2.0 * self._chunk_time():
+            return
+        if self._last_chunk - self._acted_at <= self._timeout + 2.0 * self._chunk_time():
+            return
+        # A value that replaced another one before the next chunk may be the one in force before both: no
+        # message tells that it acted.
+        player.acted(player.next_sample, in_force.commands)
+        if player.awaiting:
             awaited = ", ".join(f"{name} {value:g}" for name, value in player.awaiting.items())
             raise GearboxError(
                 f"{self._name} did not put {awaited} in force within {self._timeout:g} s at "
