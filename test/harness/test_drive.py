@@ -353,11 +353,12 @@ def test_a_gearbox_that_is_slow_is_waited_for(
 
 
 def test_commands_that_a_slow_machine_left_out_are_told_instead_of_the_expectation(
-    gearbox: Process, process: StartProcess, profile: Path
+    gearbox: Process, shared: Shared, process: StartProcess, profile: Path
 ) -> None:
     report = profile.with_suffix(".xml")
     run = drive(process, profile, RAMP, "--wait", "60", "--junit", str(report))
     run.wait_for("joined")
+    shared.client.until(lambda: 22.0 < shared.client.in_force().load_torque < 29.0)
     run.signal(signal.SIGSTOP)
     stopped_at = time.monotonic()
     until(lambda: time.monotonic() > stopped_at + 1.5, "the gearbox has gone on")
