@@ -98,6 +98,10 @@ class Encoder:
             for gear in ("driving", "driven")
         }
 
+    def require_stampable(self, sample: int) -> None:
+        """Raise GearboxError if the time of ``sample`` is beyond the stamps of ROS."""
+        require_stampable(self._epoch_ns + sample * self._interval_ns)
+
     def chunk(self, chunk: Chunk) -> list[Record]:
         """All messages of one chunk, with the stamp of its last sample; none if the chunk is empty."""
         if not len(chunk):

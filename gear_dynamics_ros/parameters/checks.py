@@ -239,7 +239,7 @@ def check_rerun(rerun: RerunParameters) -> None:
         raise UsageError("rerun.path is empty, but rerun.mode = 'save' needs a file: set rerun.path")
     if rerun.mode == "connect" and not rerun.url.startswith("rerun"):
         raise UsageError(
-            f"rerun.url = '{rerun.url}' must be a Rerun address, such as {RerunParameters().url}"
+            f"rerun.url = {rerun.url!r} must be a Rerun address, such as {RerunParameters().url}"
         )
 
 

@@ -21,7 +21,9 @@ DECIDING = (
 
 
 def start_failure(error: Exception) -> str:
-    """Why rclpy did not start, in a line, and what to do about a folder of logs that can't be made."""
+    """Why rclpy did not start, in a line, and what to do about what can be helped."""
+    if isinstance(error, UnicodeEncodeError):
+        return f"{error.object!r} is not UTF-8 text, which ROS needs: choose another name or path"
     remedy = ": set ROS_LOG_DIR to a folder that can be written to" if "log directory" in str(error) else ""
     return f"{one_line(error)}{remedy}"
 

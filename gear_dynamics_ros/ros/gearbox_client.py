@@ -37,18 +37,19 @@ def ros_context(node: str, arguments: Sequence[str]) -> Iterator[Context]:
 
     Raises UsageError on invalid arguments, or if ``node`` is not a valid name.
     """
+    wrong_name = UsageError(f"--node is {node!r}, not the name of a ROS node: give one such as /gearbox")
+    if not node.isascii():  # rclpy fails on bytes that are no text with a TypeError
+        raise wrong_name
     stay_local()
     context = Context()
     try:
         rclpy.init(args=list(arguments), context=context, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # what rclpy raises on arguments it can't read
+    except (RuntimeError, UnicodeEncodeError) as error:  # what rclpy raises on arguments it can't read
         raise UsageError(f"ROS did not start: {start_failure(error)}") from error
     try:
         yield context
     except (InvalidTopicNameException, InvalidServiceNameException) as error:
-        raise UsageError(
-            f"--node is {node!r}, not the name of a ROS node: give one such as /gearbox"
-        ) from error
+        raise wrong_name from error
     finally:
         context.try_shutdown()
 

@@ -122,13 +122,24 @@ def cut_to_half(path: Path) -> None:
     os.truncate(path, path.stat().st_size // 2)
 
 
+def flip_a_bit_of_the_code(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[data.index(b"\x7fELF") + 4096] ^= 1
+    path.write_bytes(data)
+
+
 def replace_by_another(path: Path) -> None:
     path.write_bytes(pickle.dumps(numba.__version__) + pickle.dumps(7))
 
 
 @pytest.mark.parametrize(
     ("suffix", "damage"),
-    [("nbi", cut_to_nothing), ("nbc", cut_to_half), ("nbi", replace_by_another)],
+    [
+        ("nbi", cut_to_nothing),
+        ("nbc", cut_to_half),
+        ("nbc", flip_a_bit_of_the_code),
+        ("nbi", replace_by_another),
+    ],
 )
 def test_a_damaged_cache_is_one_line_and_is_replaced(
     small: SmallKernel, suffix: str, damage: Callable[[Path], None]
