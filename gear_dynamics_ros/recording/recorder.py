@@ -12,7 +12,7 @@ import os
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple, TypeAlias
 
@@ -146,6 +146,11 @@ class Recorder:
                 self._disk.free_bytes,
                 self._disk.seconds_left,
             )
+
+    @property
+    def topics(self) -> Collection[str]:
+        """What it records, keys in TOPICS."""
+        return self._topics.keys()
 
     @property
     def part_bytes(self) -> int:

@@ -74,7 +74,8 @@ class Run:
             self.engine.command(commands)
         heading, for_newcomers = self._heading(received)
         chunk = self.engine.advance(samples)
-        records = [*heading, *self._encoder.chunk(chunk)]
+        wanted = {topic for sink in self._sinks for topic in sink.wanted()}
+        records = [*heading, *self._encoder.chunk(chunk, wanted)]
         newcomers, self._newcomers = self._newcomers, []
         _each(
             self._sinks,
