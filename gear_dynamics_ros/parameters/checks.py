@@ -22,6 +22,7 @@ from gear_dynamics_ros.parameters.groups import (
     GearPairParameters,
     MeshParameters,
     OperationParameters,
+    PacingParameters,
     RecordingParameters,
     RerunParameters,
     SolverParameters,
@@ -203,6 +204,24 @@ def check_solver(solver: SolverParameters) -> None:
         raise UsageError(
             f"solver.chunk = {value_text(solver.chunk)} s has {solver.samples_per_chunk} samples; the limit "
             f"is {MOST_SAMPLES_PER_CHUNK}: reduce it or increase solver.sample_interval"
+        )
+
+
+def check_pacing(pacing: PacingParameters) -> None:
+    """Check that the processors are a list, and that a real-time thread has pauses in which others run."""
+    try:
+        numbers = pacing.processor_numbers
+    except ValueError:
+        numbers = frozenset()
+    if pacing.processors and not numbers:
+        raise UsageError(
+            f"pacing.processors = {pacing.processors!r:.80} is not a list of processors: write numbers and "
+            "ranges, such as '2' or '0,2-3'"
+        )
+    if pacing.priority and not pacing.real_time_factor:
+        raise UsageError(
+            f"pacing.priority = {pacing.priority} with pacing.real_time_factor = 0.0 would leave no other "
+            "thread its processor: set one of them to another value"
         )
 
 

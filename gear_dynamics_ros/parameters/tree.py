@@ -20,6 +20,7 @@ from gear_dynamics_ros.parameters.checks import (
     check_clock,
     check_mesh,
     check_operation,
+    check_pacing,
     check_recording,
     check_rerun,
     check_solver,
@@ -118,6 +119,7 @@ class Parameters:
         check_surface(self.surface, self.gears)
         check_operation(self.operation, self.mesh_phase)
         check_solver(self.solver)
+        check_pacing(self.pacing)
         check_clock(self.clock_rate, self.clock_period_ns, self.solver)
         check_waveform_channels(self.waveform_channels)
         check_recording(self.recording)

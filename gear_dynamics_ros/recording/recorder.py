@@ -27,7 +27,7 @@ from gear_dynamics_ros.recording.mcap.writer import McapWriter
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint, StoredCheckpoint
 from gear_dynamics_ros.simulation.provenance import current_provenance
 from gear_dynamics_ros.system.files import replace_text, sync_folder
-from gear_dynamics_ros.system.threads import name_thread
+from gear_dynamics_ros.system.threads import begin_thread
 from gear_dynamics_ros.topics import DEFAULT_NAMES, TOPICS, NodeNames, Topic
 
 # Three seconds of all channels at 100 kHz: a disk rarely pauses longer.
@@ -201,7 +201,7 @@ class Recorder:
         return self._closing or self._error is not None
 
     def _work(self, start: Checkpoint) -> None:
-        name_thread()
+        begin_thread()
         try:
             self._begin(start)
             self._write_all()

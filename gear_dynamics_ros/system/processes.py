@@ -16,7 +16,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Final
 
-from gear_dynamics_ros.system.threads import name_thread
+from gear_dynamics_ros.system.threads import begin_thread
 
 # Signals that ask a program to end.
 END_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -110,7 +110,7 @@ class Signals:
             self._stop = stop
 
     def _work(self) -> None:
-        name_thread()
+        begin_thread()
         while number := self._receiver.recv(1):
             with self._lock:
                 stop = self._stop
