@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import speed
-from live_node import Arrival, Client, Samples, running
+from live_node import SOURCE, Arrival, Client, Samples, running
 from numpy.typing import NDArray
 from std_msgs.msg import Float64
 
@@ -127,12 +127,12 @@ def bare_loop(chunk: float, computing: float) -> NDArray[np.float64]:
     return np.array(late)
 
 
-def responses(parameters: Parameters, count: int) -> Responses:
-    """``count`` commands to the node, one after another, each at any phase of the chunk."""
+def responses(parameters: Parameters, count: int, source: Path = SOURCE) -> Responses:
+    """``count`` commands to the node of ``source``, one after another, each at any phase of the chunk."""
     chunk = parameters.solver.chunk
     samples = Samples(parameters.solver.sample_interval_ns)
     arrivals: list[int] = []
-    with running({"solver.chunk": chunk}) as node, Client(node) as client:
+    with running({"solver.chunk": chunk}, source) as node, Client(node) as client:
         commander = _Commander(client, chunk)
 
         def take(arrival: Arrival) -> None:

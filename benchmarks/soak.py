@@ -11,7 +11,6 @@ import math
 import os
 import platform
 import random
-import socket
 import sys
 import tempfile
 import time
@@ -20,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from latency import computing_time
-from live_node import PARAMETERS, Client, NodeProcess, Samples, running
+from live_node import PARAMETERS, Client, NodeProcess, Samples, free_port, running
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from std_msgs.msg import Float64
@@ -213,14 +212,6 @@ def look(data: bytes, node: NodeProcess) -> Look:
 def busy(node: NodeProcess) -> float:
     """Processor time of the node's living threads, s."""
     return sum(node.thread_seconds().values())
-
-
-def free_port() -> int:
-    """Port that nobody on this machine listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 def make_room(bag: Path) -> None:
