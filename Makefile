@@ -28,7 +28,7 @@ test: setup $(NODE_READERS)
 
 # Figures of an earlier commit stand beside today's; another one with make bench BEFORE=COMMIT.
 bench: setup
-	@$(BIN)/python benchmarks $(if $(BEFORE),--before $(BEFORE)) --output benchmarks/results.md --figures docs/recording.md
+	@$(BIN)/python benchmarks $(if $(BEFORE),--before $(BEFORE)) --output benchmarks/results.md --docs docs
 
 # Ten minutes; others with make soak DURATION=60.
 DURATION := 600

@@ -1,4 +1,4 @@
-"""Every benchmark in one run, as a page of Markdown: python benchmarks [--output FILE] [--figures FILE]."""
+"""Every benchmark in one run, as a page of Markdown: python benchmarks [--output FILE] [--docs FOLDER]."""
 
 from __future__ import annotations
 
@@ -27,6 +27,8 @@ REAL_TIME_AIMED_AT = {"traditional": 5.0, "compared": 5.0, "improved": 3.0}
 RATIO_AIMED_AT = 1.2
 SOLVER_REPEATS = 3
 RECORDINGS = "Recordings: writing, reading, verifying"
+SCHEDULING = "Real-time scheduling"
+PAGES = {RECORDINGS: "recording.md", SCHEDULING: "real_time.md"}  # pages that show a section
 MADE = "Made by `make bench` on {machine}."
 
 Lines = list[str]
@@ -51,15 +53,16 @@ def main() -> None:
         help="commit whose figures stand beside today's (default: %(default)s)",
     )
     parser.add_argument(
-        "--figures", type=Path, help="page whose figures of recordings, between its marks, are to be replaced"
+        "--docs", type=Path, help="folder of pages whose figures, between their marks, are to be replaced"
     )
     arguments = parser.parse_args()
     page: Lines = []
     for part in parts(arguments.before):
         print("\n".join(part), flush=True)
         page += part
-        if part[0] == f"## {RECORDINGS}" and arguments.figures is not None:
-            replace_figures(arguments.figures, [MADE.format(machine=machine()), "", *part[2:]])
+        name = PAGES.get(part[0].removeprefix("## "))
+        if name and arguments.docs is not None:
+            replace_figures(arguments.docs / name, [MADE.format(machine=machine()), "", *part[2:]])
     if arguments.output is not None:
         arguments.output.write_text("\n".join(page).rstrip() + "\n", encoding="utf-8")
 
@@ -139,6 +142,12 @@ def sections(before: str) -> list[Section]:
             "Processor time of the node",
             "As before, in chunks of 2 ms; shares of one core by thread. `main` takes commands and serves.",
             latency.processor_time,
+        ),
+        Section(
+            SCHEDULING,
+            f"The same node and commands in chunks of 2 ms, beside {latency.BUSY_LOOPS} busy loops on "
+            f"{len(os.sched_getaffinity(0))} processors; what each setting of the scheduler gives.",
+            latency.scheduling,
         ),
         Section(
             "Beside an earlier commit",
