@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Any, cast
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -21,7 +22,7 @@ from gear_dynamics_ros.parameters import (
     specifications,
 )
 from gear_dynamics_ros.parameters.rcl_yaml import resolve_scalar
-from gear_dynamics_ros.parameters.tree import ROS_OWN_PARAMETERS
+from gear_dynamics_ros.parameters.tree import ROS_OWN_PARAMETERS, unknown_parameter
 
 LARGEST_INTEGER = 2**63 - 1
 
@@ -48,6 +49,20 @@ def declare(node: Node) -> Parameters:
         ignore_override=True,
     )
     return parameters
+
+
+class UnknownParameterError(ParameterNotDeclaredException):
+    """A parameter that the node does not have; rclpy's own error can lose its name."""
+
+    def __init__(self, name: str) -> None:
+        Exception.__init__(self, unknown_parameter(name))
+
+
+def require_known(node: Node, parameters: Sequence[Parameter]) -> None:
+    """Raise UnknownParameterError, which the services of rclpy answer with, if ``node`` lacks a parameter."""
+    for parameter in parameters:
+        if not node.has_parameter(parameter.name):
+            raise UnknownParameterError(parameter.name)
 
 
 def numbers_to_floats(parameters: list[Parameter]) -> list[Parameter]:

@@ -325,6 +325,16 @@ def test_a_parameter_that_cannot_be_is_refused_with_the_reason(
     assert client.get(name) == before
 
 
+def test_a_parameter_that_does_not_exist_is_refused_by_its_name(client: Client) -> None:
+    result = client.put("oil.viscosty", 0.03)
+    assert not result.successful
+    assert result.reason == "there is no parameter oil.viscosty: did you mean oil.viscosity?"
+    before = client.get("oil.viscosity")
+    result = client.put_all({"oil.viscosity": before * 2.0, "oil": 1.0})
+    assert not result.successful and result.reason.startswith("oil is a group, not a parameter")
+    assert client.get("oil.viscosity") == before
+
+
 def test_integers_and_texts_of_numbers_are_taken_for_numbers(client: Client) -> None:
     assert client.put("mesh.error_sin", [0, 0]).successful
     assert client.get("mesh.error_sin") == [0.0, 0.0]
