@@ -158,7 +158,7 @@ def specification_of(name: str) -> Specification:
     """The row of the parameter ``name`` (dotted). Raises UsageError, with a hint, if there is none."""
     row = specifications().get(name)
     if row is None:
-        raise UsageError(_unknown_name(name))
+        raise UsageError(unknown_parameter(name))
     return row
 
 
@@ -195,7 +195,8 @@ def _arguments(group: type[Any], prefix: str, values: Mapping[str, Value]) -> di
     return arguments
 
 
-def _unknown_name(name: str) -> str:
+def unknown_parameter(name: str) -> str:
+    """Why there is no parameter ``name``, and which may be meant."""
     names = specifications()
     inside = [known for known in names if known.startswith(f"{name}.")]
     if inside:

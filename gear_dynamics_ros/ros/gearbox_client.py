@@ -13,7 +13,11 @@ import rclpy
 from lifecycle_msgs.srv import GetState
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.context import Context
-from rclpy.exceptions import InvalidServiceNameException, InvalidTopicNameException
+from rclpy.exceptions import (
+    InvalidServiceNameException,
+    InvalidTopicNameException,
+    ParameterException,
+)
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -54,6 +58,13 @@ def ros_context(node: str, arguments: Sequence[str]) -> Iterator[Context]:
         context.try_shutdown()
 
 
+def _client_node(name: str, context: Context) -> Node:
+    try:
+        return Node(name, context=context)
+    except (RuntimeError, ParameterException) as error:  # of the middleware, or of a parameter given to it
+        raise UsageError(f"ROS did not start: {start_failure(error)}") from error
+
+
 class GearboxClient(ABC):
     """A node that sends requests to one gearbox and listens to it, all on the caller's thread.
 
@@ -68,7 +79,7 @@ class GearboxClient(ABC):
         self._timeout = timeout
         self._received = received
         self._interruptible = True
-        self._ros = Node(client, context=context)
+        self._ros = _client_node(client, context)
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self._ros)
         self._reset: Any = self._ros.create_client(Trigger, f"{gearbox}/reset")

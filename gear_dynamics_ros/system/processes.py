@@ -79,6 +79,15 @@ def _handled_by(handler: Callable[[int, FrameType | None], None], numbers: Seque
             signal.signal(number, earlier)
 
 
+def ignore_signals() -> None:
+    """Ignore the END_SIGNALS until the process ends. For the main thread.
+
+    Call it when the exit code is decided: Python takes a while to end, and a signal would replace the code.
+    """
+    for number in END_SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+
+
 def _is_ignored_hangup(number: int) -> bool:
     return number == signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN
 
