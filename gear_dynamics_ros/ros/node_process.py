@@ -17,7 +17,7 @@ from gear_dynamics_ros.ros.node import GearboxNode
 from gear_dynamics_ros.simulation.warm_up import warm_up
 from gear_dynamics_ros.system.command import FAILURE, run_reporting
 from gear_dynamics_ros.system.processes import Signals, ignore_signals
-from gear_dynamics_ros.system.threads import wake_punctually
+from gear_dynamics_ros.system.threads import share_lock_promptly, wake_punctually
 
 SPIN = 1.0  # longest wait for callbacks, s
 
@@ -45,6 +45,7 @@ def _serve(argv: Sequence[str] | None, signals: Signals) -> int:
 
 def _spin(signals: Signals) -> int:
     wake_punctually()
+    share_lock_promptly()
     executor = _executor()
     reasons: list[str] = []
 

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import os
+import sys
 import threading
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Final
+
+LOCK_INTERVAL: Final = 0.5e-3  # s
 
 
 def begin_thread() -> None:
@@ -29,6 +33,11 @@ def wake_punctually() -> None:
     """
     with contextlib.suppress(OSError):
         Path(f"/proc/{threading.get_native_id()}/timerslack_ns").write_text("1", encoding="utf-8")
+
+
+def share_lock_promptly() -> None:
+    """Let a thread that is busy in Python give way after 0.5 ms, not 5 ms, to one that waits for it."""
+    sys.setswitchinterval(LOCK_INTERVAL)
 
 
 def schedule_fifo(priority: int) -> None:
