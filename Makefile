@@ -26,8 +26,9 @@ test: setup $(NODE_READERS)
 	@echo "== Running the test suite"
 	@$(BIN)/pytest --numprocesses 2 --dist loadfile --durations 10
 
+# Figures of an earlier commit stand beside today's; another one with make bench BEFORE=COMMIT.
 bench: setup
-	@$(BIN)/python benchmarks --output benchmarks/results.md --figures docs/recording.md
+	@$(BIN)/python benchmarks $(if $(BEFORE),--before $(BEFORE)) --output benchmarks/results.md --docs docs
 
 # Ten minutes; others with make soak DURATION=60.
 DURATION := 600

@@ -1,4 +1,4 @@
-"""Every benchmark in one run, as a page of Markdown: python benchmarks [--output FILE] [--figures FILE]."""
+"""Every benchmark in one run, as a page of Markdown: python benchmarks [--output FILE] [--docs FOLDER]."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
+import earlier
 import general_solvers
 import latency
 import numpy as np
@@ -26,6 +27,8 @@ REAL_TIME_AIMED_AT = {"traditional": 5.0, "compared": 5.0, "improved": 3.0}
 RATIO_AIMED_AT = 1.2
 SOLVER_REPEATS = 3
 RECORDINGS = "Recordings: writing, reading, verifying"
+SCHEDULING = "Real-time scheduling"
+PAGES = {RECORDINGS: "recording.md", SCHEDULING: "real_time.md"}  # pages that show a section
 MADE = "Made by `make bench` on {machine}."
 
 Lines = list[str]
@@ -44,15 +47,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, help="also write the page to this file")
     parser.add_argument(
-        "--figures", type=Path, help="page whose figures of recordings, between its marks, are to be replaced"
+        "--before",
+        default=earlier.COMMIT,
+        metavar="COMMIT",
+        help="commit whose figures stand beside today's (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--docs", type=Path, help="folder of pages whose figures, between their marks, are to be replaced"
     )
     arguments = parser.parse_args()
     page: Lines = []
-    for part in parts():
+    for part in parts(arguments.before):
         print("\n".join(part), flush=True)
         page += part
-        if part[0] == f"## {RECORDINGS}" and arguments.figures is not None:
-            replace_figures(arguments.figures, [MADE.format(machine=machine()), "", *part[2:]])
+        name = PAGES.get(part[0].removeprefix("## "))
+        if name and arguments.docs is not None:
+            replace_figures(arguments.docs / name, [MADE.format(machine=machine()), "", *part[2:]])
     if arguments.output is not None:
         arguments.output.write_text("\n".join(page).rstrip() + "\n", encoding="utf-8")
 
@@ -72,8 +82,8 @@ def machine() -> str:
     return f"{processor_name()} ({os.cpu_count()} logical processors), Python {platform.python_version()}"
 
 
-def parts() -> Iterator[Lines]:
-    """The page, piece by piece as it is measured."""
+def parts(before: str) -> Iterator[Lines]:
+    """The page, piece by piece as it is measured; ``before`` is the commit to compare with."""
     yield [
         "# Benchmarks",
         "",
@@ -81,11 +91,11 @@ def parts() -> Iterator[Lines]:
         "channels at 100 kHz and chunks of 2 ms; medians of turns in one run.",
         "",
     ]
-    for section in sections():
+    for section in sections(before):
         yield [f"## {section.title}", "", *([section.note, ""] if section.note else []), *section.table(), ""]
 
 
-def sections() -> list[Section]:
+def sections(before: str) -> list[Section]:
     """What is measured."""
     try:
         plain_c.library()
@@ -133,6 +143,18 @@ def sections() -> list[Section]:
             "As before, in chunks of 2 ms; shares of one core by thread. `main` takes commands and serves.",
             latency.processor_time,
         ),
+        Section(
+            SCHEDULING,
+            f"The same node and commands in chunks of 2 ms, beside {latency.BUSY_LOOPS} busy loops on "
+            f"{len(os.sched_getaffinity(0))} processors; what each setting of the scheduler gives.",
+            latency.scheduling,
+        ),
+        Section(
+            "Beside an earlier commit",
+            "Both versions in turns with gearbox.yaml as each has it; medians. The node runs at real-time "
+            "factor 1 and nobody listens to its waveform, but for the latency.",
+            lambda: beside_earlier(before),
+        ),
         Section("Error", "Beside the independent solver of the tests.", speed.referee),
         Section(
             "General solvers",
@@ -143,6 +165,14 @@ def sections() -> list[Section]:
             lambda: general_solvers.compare(SOLVER_REPEATS),
         ),
     ]
+
+
+def beside_earlier(before: str) -> Lines:
+    """Today's figures beside those of an earlier commit, or why there are none."""
+    try:
+        return earlier.beside(before)
+    except GearboxError as error:
+        return [f"Not measured: {error}."]
 
 
 def cases() -> Iterator[tuple[str, str, Parameters]]:

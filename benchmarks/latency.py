@@ -2,30 +2,48 @@
 
 from __future__ import annotations
 
+import os
 import random
+import subprocess
+import sys
 import tempfile
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import Final, NamedTuple
 
 import numpy as np
 import speed
-from live_node import Arrival, Client, Samples, running
+from live_node import SOURCE, Arrival, Client, Samples, running
 from numpy.typing import NDArray
 from std_msgs.msg import Float64
 
+from gear_dynamics_ros.channels import PACE
+from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages.cdr import deserialize
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.simulation.engine import Engine
-from gear_dynamics_ros.topics import JOINT_STATE
+from gear_dynamics_ros.topics import ARRAY, JOINT_STATE
 
 COMMANDS = {"5e-4": 1000, "2e-3": 1000, "1e-2": 250}  # by chunk in s
 LATENCY_CHUNK = "2e-3"
 ALLOWANCE = 0.5e-3  # s of latency beyond chunk and computing
 SHARES_AIMED_AT = {"off": 0.60, "on": 0.90}  # of one core, by whether there are recording and Rerun
+BUSY_LOOPS = 2 * len(os.sched_getaffinity(0))
+SCHEDULINGS: Final[Sequence[Mapping[str, object]]] = (
+    {},
+    {"processors": "'0'"},
+    {"priority": 50},
+    {"priority": 50, "processors": "'0'"},
+    {"priority": 50, "lock_memory": "true"},
+)
+_TIME, _OVERRUNS, _LATENESS = (
+    [entry.name for entry in PACE].index(name) for name in ("time", "overruns", "worst_lateness")
+)
 THREADS = ("engine", "main", "recorder", "viewer", "dds")
 
 SETTLE = 1.5  # s of wall time in which caches fill and discovery ends
@@ -43,6 +61,8 @@ class Responses(NamedTuple):
     periods: NDArray[np.float64]  # between arrivals
     unanswered: int
     samples: Samples
+    overruns: float  # share of the chunks
+    latest: float  # begin of a chunk after it was due
 
 
 class Shares(NamedTuple):
@@ -127,12 +147,21 @@ def bare_loop(chunk: float, computing: float) -> NDArray[np.float64]:
     return np.array(late)
 
 
-def responses(parameters: Parameters, count: int) -> Responses:
-    """``count`` commands to the node, one after another, each at any phase of the chunk."""
+def responses(
+    parameters: Parameters,
+    count: int,
+    source: Path = SOURCE,
+    settings: Mapping[str, object] = MappingProxyType({}),
+) -> Responses:
+    """``count`` commands to the node of ``source``, one after another, each at any phase of the chunk.
+
+    ``settings`` are further parameters of the node. Raises GearboxError if it does not serve.
+    """
     chunk = parameters.solver.chunk
+    pace: list[NDArray[np.float64]] = []
     samples = Samples(parameters.solver.sample_interval_ns)
     arrivals: list[int] = []
-    with running({"solver.chunk": chunk}) as node, Client(node) as client:
+    with running({"solver.chunk": chunk, **settings}, source) as node, Client(node) as client:
         commander = _Commander(client, chunk)
 
         def take(arrival: Arrival) -> None:
@@ -142,14 +171,23 @@ def responses(parameters: Parameters, count: int) -> Responses:
         client.hear("joint_states", take)
         client.hear("waveform", samples.take)
         client.until(lambda: samples.heard, PATIENCE)
-        client.listen(SETTLE)
+        client.hear("pacing", lambda arrival: pace.append(deserialize(ARRAY, arrival.data).data))
+        client.until(lambda: len(pace) > 1, PATIENCE)
         arrivals.clear()
         # A thread of its own, so that nothing that arrives decides the phase.
         thread = threading.Thread(target=commander.command, args=[count], daemon=True)
         thread.start()
         client.until(lambda: not thread.is_alive(), PATIENCE + count * ANSWER_PATIENCE)
+        told = len(pace)
+        client.until(lambda: len(pace) > told, PATIENCE)
+    overruns = pace[-1][_OVERRUNS] - pace[1][_OVERRUNS]
     return Responses(
-        np.array(commander.latencies), np.diff(np.array(arrivals) * 1e-9), commander.unanswered, samples
+        np.array(commander.latencies),
+        np.diff(np.array(arrivals) * 1e-9),
+        commander.unanswered,
+        samples,
+        overruns * chunk / (pace[-1][_TIME] - pace[1][_TIME]),
+        max(row[_LATENESS] for row in pace[2:]),
     )
 
 
@@ -198,6 +236,48 @@ def shares(parameters: Mapping[str, object]) -> Shares:
         # Fast DDS names its threads dds. and something more.
         threads[name.partition(".")[0]] += (seconds - before.get((number, name), 0.0)) / elapsed
     return Shares(threads, samples)
+
+
+def scheduling() -> list[str]:
+    """Rows for each setting of the scheduler, beside busy loops."""
+    lines = [
+        "| parameters | latency, ms: median | p99 | largest | overruns, share of chunks "
+        "| latest begin of a chunk, ms |",
+        "|---" * 6 + "|",
+    ]
+    parameters = speed.parameters_of("gearbox")
+    for settings in SCHEDULINGS:
+        name = ", ".join(f"`pacing.{key}: {value}`" for key, value in settings.items()) or "as shipped"
+        try:
+            with busy_loops(BUSY_LOOPS):
+                found = responses(
+                    parameters, COMMANDS[LATENCY_CHUNK] // 2, settings=_named("pacing", settings)
+                )
+        except GearboxError as error:
+            lines.append(f"| {name} | not measured: {error} | | | | |")
+            continue
+        middle, late, latest = 1e3 * np.percentile(found.latencies, (50, 99, 100))
+        lines.append(
+            f"| {name} | {middle:.2f} | {late:.2f} | {latest:.2f} | {100 * found.overruns:.2f} % "
+            f"| {1e3 * found.latest:.2f} |"
+        )
+    return lines
+
+
+def _named(group: str, settings: Mapping[str, object]) -> dict[str, object]:
+    return {f"{group}.{key}": value for key, value in settings.items()}
+
+
+@contextmanager
+def busy_loops(count: int) -> Iterator[None]:
+    """``count`` processes that take all the time they get."""
+    loops = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for loop in loops:
+            loop.kill()
+            loop.wait()
 
 
 def cells(samples: Samples) -> str:

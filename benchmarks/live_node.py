@@ -30,7 +30,8 @@ from gear_dynamics_ros.messages.encoder import waveform_message
 from gear_dynamics_ros.ros.node_topics import message_type, quality
 from gear_dynamics_ros.topics import ARRAY, TOPICS, full_topic_name
 
-PARAMETERS = Path(__file__).resolve().parent.parent / "config" / "gearbox.yaml"
+SOURCE = Path(__file__).resolve().parent.parent
+PARAMETERS = SOURCE / "config" / "gearbox.yaml"
 # On Linux, domains above 101 share their UDP ports with the ephemeral range.
 DOMAINS = range(1, 102)
 START_SECONDS = 120.0  # a first start compiles the kernel
@@ -39,8 +40,8 @@ _TICKS = os.sysconf("SC_CLK_TCK")
 
 
 @contextmanager
-def running(parameters: Mapping[str, object]) -> Iterator[NodeProcess]:
-    """The node with config/gearbox.yaml but for ``parameters``; it is ended with SIGINT.
+def running(parameters: Mapping[str, object], source: Path = SOURCE) -> Iterator[NodeProcess]:
+    """The node of ``source`` with its config/gearbox.yaml but for ``parameters``; it is ended with SIGINT.
 
     Its output goes to stderr, its traffic nowhere else: this process gets the same ROS domain, and no other
     that asks for one in this way, as the tests do. Raises GearboxError if all domains are taken.
@@ -49,10 +50,11 @@ def running(parameters: Mapping[str, object]) -> Iterator[NodeProcess]:
         lock = held.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
         os.environ |= {"ROS_DOMAIN_ID": str(_own_domain(lock)), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
         command = [sys.executable, "-m", "gear_dynamics_ros.cli.gearbox", "--ros-args"]
-        command += ["--log-level", "warn", "--params-file", str(PARAMETERS)]
+        command += ["--log-level", "warn", "--params-file", str(source / "config" / "gearbox.yaml")]
         for name, value in parameters.items():
             command += ["-p", f"{name}:={value}"]
-        child = subprocess.Popen(command, stdout=sys.stderr, start_new_session=True)
+        # Python looks for the package in the present folder before the installed ones.
+        child = subprocess.Popen(command, stdout=sys.stderr, cwd=source, start_new_session=True)
         held.callback(_end, child)
         yield NodeProcess(child)
 
@@ -77,6 +79,14 @@ def _end(child: subprocess.Popen[bytes]) -> None:
     finally:  # also when a second Ctrl-C cuts the wait short
         child.kill()
         child.wait()
+
+
+def free_port() -> int:
+    """Port that nobody on this machine listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
 
 
 class NodeProcess:

@@ -40,7 +40,8 @@ def require_stampable(time_ns: int) -> None:
 
 
 def stamp(time_ns: int) -> Any:
-    """builtin_interfaces/Time from an integer number of nanoseconds."""
+    """builtin_interfaces/Time from an integer number of nanoseconds. Raises as ``require_stampable``."""
+    require_stampable(time_ns)
     seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
     return message_class("builtin_interfaces/msg/Time")(sec=seconds, nanosec=nanoseconds)
 

@@ -8,7 +8,9 @@ from __future__ import annotations
 import json
 import math
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,7 +26,7 @@ from gear_dynamics_ros.channels import (
 from gear_dynamics_ros.chunk import Chunk, Commands, Counters
 from gear_dynamics_ros.messages.cdr import message_class, require_stampable, serialize, stamp
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.topics import ARRAY, CLOCK, JOINT_STATE, STRING, WRENCH
+from gear_dynamics_ros.topics import ARRAY, CHUNK_TOPICS, CLOCK, JOINT_STATE, STRING, WRENCH
 
 
 class Record(NamedTuple):
@@ -71,6 +73,17 @@ def joint_state(
     )
 
 
+@dataclass(frozen=True, slots=True)
+class _End:
+    """The last sample of a chunk: its stamp in ns, and its values by the name of the channel."""
+
+    time_ns: int
+    values: NDArray[np.float64]
+
+    def __getitem__(self, channel: str) -> float:
+        return float(self.values[COLUMN[channel]])
+
+
 class Encoder:
     """Makes the messages of one run. Stamps are ``epoch_ns`` plus simulated time, ns.
 
@@ -92,35 +105,41 @@ class Encoder:
         self._clock_ns = parameters.clock_period_ns
         self._impacts = _RowPacker("impact", [entry.name for entry in IMPACTS])
         self._pacing = _RowPacker("report", [entry.name for entry in PACE])
+        self._encode: dict[str, Callable[[Chunk, _End], bytes]] = {
+            "joint_states": self._joint_states,
+            "dte": lambda _, end: _float64(end["dte"]),
+            "mesh_force": lambda _, end: _float64(end["mesh_force"]),
+            "pressure_angle": lambda _, end: _float64(end["pressure_angle"]),
+            "driving_bearing_force": partial(self._bearing_force, "driving"),
+            "driven_bearing_force": partial(self._bearing_force, "driven"),
+            "meshing_state": lambda _, end: _int8(_flank(end["meshing_state"])),
+            "energy": lambda chunk, _: self._energy.pack(chunk.energies[None, :]),
+            "impacts": self._impact_rows,
+            "clock": self._clock,
+            "waveform": lambda chunk, _: self._waveform.pack(self._selected(chunk.samples)),
+        }
         self._joint_state = _StampedMessage(_joints_at_rest(self._joints), _JOINT_NUMBERS)
         self._bearings = {
             gear: _StampedMessage(_zero_wrench(bearing_frame(prefix, gear)), _FORCE_AND_TORQUE)
             for gear in ("driving", "driven")
         }
 
-    def chunk(self, chunk: Chunk) -> list[Record]:
-        """All messages of one chunk, with the stamp of its last sample; none if the chunk is empty."""
-        if not len(chunk):
+    def require_stampable(self, sample: int) -> None:
+        """Raise GearboxError if the time of ``sample`` is beyond the stamps of ROS."""
+        require_stampable(self._epoch_ns + sample * self._interval_ns)
+
+    def chunk(self, chunk: Chunk, wanted: Collection[str] = CHUNK_TOPICS) -> list[Record]:
+        """The messages of one chunk on ``wanted`` topics, with the stamp of its last sample.
+
+        In the order of CHUNK_TOPICS; none if the chunk is empty.
+        """
+        if not (len(chunk) and wanted):
             return []
         time_ns = self._epoch_ns + chunk.last_ns
         # -0.0 is 0.0, which says more to a reader; the waveform keeps the bits.
-        last = dict(zip(COLUMN, (chunk.samples[-1] + 0.0).tolist(), strict=False))
-        payloads = {
-            "joint_states": self._joint_states(time_ns, last, chunk.angles[-1].tolist()),
-            "dte": _float64(last["dte"]),
-            "mesh_force": _float64(last["mesh_force"]),
-            "pressure_angle": _float64(last["pressure_angle"]),
-            "driving_bearing_force": self._bearing_force(time_ns, last, "driving"),
-            "driven_bearing_force": self._bearing_force(time_ns, last, "driven"),
-            "meshing_state": _int8(_flank(last["meshing_state"])),
-            "energy": self._energy.pack(chunk.energies[None, :]),
-        }
-        if len(chunk.impacts):
-            payloads["impacts"] = self._impacts.pack(chunk.impacts)
-        if self._ticks(chunk):
-            payloads["clock"] = serialize(CLOCK, message_class(CLOCK)(clock=stamp(time_ns)))
-        payloads["waveform"] = self._waveform.pack(self._selected(chunk.samples))
-        return [Record(topic, time_ns, data) for topic, data in payloads.items()]
+        end = _End(time_ns, chunk.samples[-1] + 0.0)
+        payloads = ((topic, encode(chunk, end)) for topic, encode in self._encode.items() if topic in wanted)
+        return [Record(topic, time_ns, data) for topic, data in payloads if data]
 
     def applied(self, commands: Commands, sample: int) -> Record:
         """Message of ``commands``, in force from ``sample`` on."""
@@ -156,35 +175,40 @@ class Encoder:
         """Message of the description ``text`` of the model, valid from ``time_ns`` on."""
         return Record("model_info", time_ns, serialize(STRING, message_class(STRING)(data=text)))
 
-    def _ticks(self, chunk: Chunk) -> bool:
-        """Whether a multiple of 1/clock_rate lies in the chunk, independent of the start of the run."""
+    def _clock(self, chunk: Chunk, end: _End) -> bytes:
+        """Empty unless a multiple of 1/clock_rate lies in the chunk, whenever the run started."""
         if not self._clock_ns:
-            return False
+            return b""
         next_tick_ns = -(-chunk.start_ns // self._clock_ns) * self._clock_ns
-        return next_tick_ns < chunk.start_ns + len(chunk) * chunk.interval_ns
+        if next_tick_ns >= chunk.start_ns + len(chunk) * chunk.interval_ns:
+            return b""
+        return serialize(CLOCK, message_class(CLOCK)(clock=stamp(end.time_ns)))
 
-    def _joint_states(self, time_ns: int, last: dict[str, float], angles: list[float]) -> bytes:
+    def _joint_states(self, chunk: Chunk, end: _End) -> bytes:
         return self._joint_state.pack(
-            time_ns,
-            *angles,
-            last["dte"],
+            end.time_ns,
+            *chunk.angles[-1].tolist(),
+            end["dte"],
             len(self._joints),
-            last["driving_speed"],
-            last["driven_speed"],
-            last["dte_rate"],
+            end["driving_speed"],
+            end["driven_speed"],
+            end["dte_rate"],
             len(self._joints),
-            last["drive_torque"],
-            last["load_torque"],
-            last["mesh_force"],
+            end["drive_torque"],
+            end["load_torque"],
+            end["mesh_force"],
         )
 
-    def _bearing_force(self, time_ns: int, last: dict[str, float], gear: str) -> bytes:
+    def _bearing_force(self, gear: str, _: Chunk, end: _End) -> bytes:
         return self._bearings[gear].pack(
-            time_ns,
-            last[f"{gear}_contact_force_x"] + last[f"{gear}_film_force_x"],
-            last[f"{gear}_contact_force_y"] + last[f"{gear}_film_force_y"],
+            end.time_ns,
+            end[f"{gear}_contact_force_x"] + end[f"{gear}_film_force_x"],
+            end[f"{gear}_contact_force_y"] + end[f"{gear}_film_force_y"],
             *_OTHER_COMPONENTS,
         )
+
+    def _impact_rows(self, chunk: Chunk, _: _End) -> bytes:
+        return self._impacts.pack(chunk.impacts) if len(chunk.impacts) else b""
 
     def _selected(self, samples: NDArray[np.float64]) -> NDArray[np.float64]:
         return samples if self._all_channels else np.ascontiguousarray(samples[:, self._columns])

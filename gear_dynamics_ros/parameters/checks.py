@@ -22,6 +22,7 @@ from gear_dynamics_ros.parameters.groups import (
     GearPairParameters,
     MeshParameters,
     OperationParameters,
+    PacingParameters,
     RecordingParameters,
     RerunParameters,
     SolverParameters,
@@ -206,6 +207,24 @@ def check_solver(solver: SolverParameters) -> None:
         )
 
 
+def check_pacing(pacing: PacingParameters) -> None:
+    """Check that the processors are a list, and that a real-time thread has pauses in which others run."""
+    try:
+        numbers = pacing.processor_numbers
+    except ValueError:
+        numbers = frozenset()
+    if pacing.processors and not numbers:
+        raise UsageError(
+            f"pacing.processors = {pacing.processors!r:.80} is not a list of processors: write numbers and "
+            "ranges, such as '2' or '0,2-3'"
+        )
+    if pacing.priority and not pacing.real_time_factor:
+        raise UsageError(
+            f"pacing.priority = {pacing.priority} with pacing.real_time_factor = 0.0 would leave no other "
+            "thread its processor: set one of them to another value"
+        )
+
+
 def check_clock(clock_rate: float, clock_period_ns: int, solver: SolverParameters) -> None:
     """Check that there are enough chunks for the rate of /clock, which comes at most once a chunk."""
     if 0 < clock_period_ns < solver.samples_per_chunk * solver.sample_interval_ns:
@@ -239,7 +258,7 @@ def check_rerun(rerun: RerunParameters) -> None:
         raise UsageError("rerun.path is empty, but rerun.mode = 'save' needs a file: set rerun.path")
     if rerun.mode == "connect" and not rerun.url.startswith("rerun"):
         raise UsageError(
-            f"rerun.url = '{rerun.url}' must be a Rerun address, such as {RerunParameters().url}"
+            f"rerun.url = {rerun.url!r} must be a Rerun address, such as {RerunParameters().url}"
         )
 
 

@@ -16,6 +16,7 @@ from gear_dynamics_ros.parameters.specification import parameter
 from gear_dynamics_ros.topics import TOPICS
 
 MOST_HARMONICS: Final = 32
+MOST_PROCESSORS: Final = 4096
 NANOSECOND: Final = Fraction(1, 10**9)  # s
 
 
@@ -392,6 +393,31 @@ class PacingParameters:
         maximum=3600.0,
         runtime=True,
     )
+    priority: int = parameter(
+        0,
+        "real-time priority (SCHED_FIFO) of the thread that computes, on Linux; 0: as any other thread",
+        minimum=0,
+        maximum=99,
+    )
+    processors: str = parameter(
+        "", "processors that the thread that computes may run on, on Linux, as '2' or '0,2-3'; empty: all"
+    )
+    lock_memory: bool = parameter(
+        False, "whether the memory of the node stays resident, so that the system never swaps it out"
+    )
+
+    @property
+    def processor_numbers(self) -> frozenset[int]:
+        """The numbers in ``processors``. Raises ValueError if they are not written as a list of ranges."""
+        numbers: set[int] = set()
+        for entry in filter(None, self.processors.replace(" ", "").split(",")):
+            first, _, last = entry.partition("-")
+            if not (first.isdecimal() and (last.isdecimal() or entry == first)):
+                raise ValueError(entry)
+            if int(last or first) >= MOST_PROCESSORS:
+                raise ValueError(entry)
+            numbers |= set(range(int(first), int(last or first) + 1))
+        return frozenset(numbers)
 
 
 @dataclass(frozen=True, slots=True)

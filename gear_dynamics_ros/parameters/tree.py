@@ -20,6 +20,7 @@ from gear_dynamics_ros.parameters.checks import (
     check_clock,
     check_mesh,
     check_operation,
+    check_pacing,
     check_recording,
     check_rerun,
     check_solver,
@@ -118,6 +119,7 @@ class Parameters:
         check_surface(self.surface, self.gears)
         check_operation(self.operation, self.mesh_phase)
         check_solver(self.solver)
+        check_pacing(self.pacing)
         check_clock(self.clock_rate, self.clock_period_ns, self.solver)
         check_waveform_channels(self.waveform_channels)
         check_recording(self.recording)
@@ -156,7 +158,7 @@ def specification_of(name: str) -> Specification:
     """The row of the parameter ``name`` (dotted). Raises UsageError, with a hint, if there is none."""
     row = specifications().get(name)
     if row is None:
-        raise UsageError(_unknown_name(name))
+        raise UsageError(unknown_parameter(name))
     return row
 
 
@@ -193,7 +195,8 @@ def _arguments(group: type[Any], prefix: str, values: Mapping[str, Value]) -> di
     return arguments
 
 
-def _unknown_name(name: str) -> str:
+def unknown_parameter(name: str) -> str:
+    """Why there is no parameter ``name``, and which may be meant."""
     names = specifications()
     inside = [known for known in names if known.startswith(f"{name}.")]
     if inside:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -55,6 +55,9 @@ class ConditionSink:
         self._intervals: deque[_Totals] = deque(maxlen=INTERVALS)
         self._chunks: list[Chunk] = []
         self._mesh_loss = 0.0  # J at the end of the last interval
+
+    def wanted(self) -> Collection[str]:
+        return ()
 
     def write(self, chunk: Chunk | None, _: Sequence[Record]) -> None:
         if chunk is None or not len(chunk):

@@ -20,8 +20,9 @@ from gear_dynamics_ros.parameters import (
 )
 from gear_dynamics_ros.realtime.mailbox import Delivery, Mailbox
 from gear_dynamics_ros.realtime.pacing import Pace, Pacer
+from gear_dynamics_ros.realtime.scheduling import schedule
 from gear_dynamics_ros.simulation.run import Run
-from gear_dynamics_ros.system.threads import name_thread
+from gear_dynamics_ros.system.threads import begin_thread
 
 T = TypeVar("T")
 
@@ -231,7 +232,11 @@ class EngineThread:
             self._wake.notify_all()
 
     def _work(self) -> None:
-        name_thread()
+        begin_thread()
+        try:
+            schedule(self.run.engine.parameters.pacing)
+        except GearboxError as error:
+            self._fail(error)
         while True:
             try:
                 if not self._wait():

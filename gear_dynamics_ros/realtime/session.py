@@ -27,6 +27,7 @@ from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.simulation.run_state import RunState
 from gear_dynamics_ros.simulation.sinks import Sink
 from gear_dynamics_ros.system.futures import then, then_start
+from gear_dynamics_ros.system.threads import begin_thread
 from gear_dynamics_ros.topics import NodeNames
 
 
@@ -58,7 +59,7 @@ class Session:
         self._started = False
         self._record_after_restart = False  # whether a fault, not the operator, ended the recording
         # A slow disk must not delay the engine, or the thread that serves the operator.
-        self._disk = ThreadPoolExecutor(max_workers=1, thread_name_prefix="disk")
+        self._disk = ThreadPoolExecutor(max_workers=1, thread_name_prefix="disk", initializer=begin_thread)
 
     @property
     def parameters(self) -> Parameters:

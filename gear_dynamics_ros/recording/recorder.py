@@ -12,7 +12,7 @@ import os
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple, TypeAlias
 
@@ -27,7 +27,7 @@ from gear_dynamics_ros.recording.mcap.writer import McapWriter
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint, StoredCheckpoint
 from gear_dynamics_ros.simulation.provenance import current_provenance
 from gear_dynamics_ros.system.files import replace_text, sync_folder
-from gear_dynamics_ros.system.threads import name_thread
+from gear_dynamics_ros.system.threads import begin_thread
 from gear_dynamics_ros.topics import DEFAULT_NAMES, TOPICS, NodeNames, Topic
 
 # Three seconds of all channels at 100 kHz: a disk rarely pauses longer.
@@ -89,15 +89,8 @@ class Recorder:
         self._report = report
         self.path = Path(os.path.abspath(path))
         layout.require_text(self.path.name)
-        provenance = current_provenance()
-        origin = hashlib.sha256(StoredCheckpoint(start, provenance).to_text().encode())
-        self._run = RunMetadata(
-            provenance=provenance,
-            epoch_ns=epoch_ns,
-            names=names,
-            sample_interval_ns=start.parameters.solver.sample_interval_ns,
-            origin=origin.hexdigest(),
-        )
+        self._epoch_ns = epoch_ns
+        self._sample_interval_ns = start.parameters.solver.sample_interval_ns
         self._topics = layout.recorded_topics(start.parameters, names)
         self._sequences: Counter[str] = Counter()
         self._latched: dict[str, bytes] = {}
@@ -123,7 +116,8 @@ class Recorder:
         except (OSError, _StoppedError) as error:
             self.path.rmdir()
             raise GearboxError(f"recording.path: can't write in '{self.path}': {_reason(error)}") from error
-        self._thread = threading.Thread(target=self._work, args=(start,), name="recorder", daemon=True)
+        # Everything that takes a while is left to the thread: an engine may wait for this one.
+        self._thread = threading.Thread(target=self._work, args=(start, names), name="recorder", daemon=True)
         self._thread.start()
 
     @property
@@ -146,6 +140,11 @@ class Recorder:
                 self._disk.free_bytes,
                 self._disk.seconds_left,
             )
+
+    @property
+    def topics(self) -> Collection[str]:
+        """What it records, keys in TOPICS."""
+        return self._topics.keys()
 
     @property
     def part_bytes(self) -> int:
@@ -195,10 +194,10 @@ class Recorder:
     def _stopped(self) -> bool:
         return self._closing or self._error is not None
 
-    def _work(self, start: Checkpoint) -> None:
-        name_thread()
+    def _work(self, start: Checkpoint, names: NodeNames) -> None:
+        begin_thread()
         try:
-            self._begin(start)
+            self._begin(start, names)
             self._write_all()
             self._finish_part()
             self._write_metadata()
@@ -208,7 +207,16 @@ class Recorder:
             self._fail(error)
             self._salvage()
 
-    def _begin(self, start: Checkpoint) -> None:
+    def _begin(self, start: Checkpoint, names: NodeNames) -> None:
+        provenance = current_provenance()
+        origin = hashlib.sha256(StoredCheckpoint(start, provenance).to_text().encode())
+        self._run = RunMetadata(
+            provenance=provenance,
+            epoch_ns=self._epoch_ns,
+            names=names,
+            sample_interval_ns=self._sample_interval_ns,
+            origin=origin.hexdigest(),
+        )
         try:
             self._part.begin(self._run, start)
         except OSError:
@@ -304,7 +312,7 @@ class Recorder:
             self._write_record(Record(key, self._time_ns(start), data))
 
     def _time_ns(self, checkpoint: Checkpoint) -> int:
-        return self._run.epoch_ns + checkpoint.sample * self._run.sample_interval_ns
+        return self._epoch_ns + checkpoint.sample * self._sample_interval_ns
 
     def _write_metadata(self) -> None:
         text = layout.metadata_yaml(dict(self._topics.values()), self._parts)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from gear_dynamics_ros.chunk import Chunk
 from gear_dynamics_ros.messages.encoder import Record
@@ -20,6 +20,9 @@ class RecorderSink:
         self.recorder = recorder
         self._engine = engine
         self._part_began = self._last_checkpoint = engine.sample
+
+    def wanted(self) -> Collection[str]:
+        return self.recorder.topics
 
     def write(self, chunk: Chunk | None, records: Sequence[Record]) -> None:
         self.recorder.write(records)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -110,6 +110,9 @@ class Ring:
     def size(self) -> int:
         """Size of its messages, bytes."""
         return sum(segment.size for segment in self._segments)
+
+    def wanted(self) -> Collection[str]:
+        return self._topics
 
     def write(self, chunk: Chunk | None, records: Sequence[Record]) -> None:
         """Keep the messages, and drop those that are too old."""

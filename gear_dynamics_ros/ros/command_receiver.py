@@ -81,7 +81,7 @@ class CommandReceiver:
         new = new[: MOST_NAMES - len(self._warned)]
         if new:
             self._warned.update(new)
-            shown = ", ".join(f"'{name}'" for name in new[:MOST_SHOWN])
+            shown = ", ".join(f"{name!r:.80}" for name in new[:MOST_SHOWN])
             more = f" and {len(new) - MOST_SHOWN} more" if len(new) > MOST_SHOWN else ""
             noun, verb = ("joint", "takes") if len(new) == 1 else ("joints", "take")
             topic = node_topics.node_names(self._node).topic(JOINT_COMMAND)

@@ -21,7 +21,7 @@ from rclpy.qos import QoSProfile
 from rclpy.service import Service
 
 from gear_dynamics_ros.errors import GearboxError, one_line
-from gear_dynamics_ros.system.threads import name_thread
+from gear_dynamics_ros.system.threads import begin_thread
 
 T = TypeVar("T")
 # Calls and answers that may wait at once, as for the parameter services of rclpy. With its default of 10,
@@ -61,7 +61,7 @@ class AnswerSender:
         self._thread.join()
 
     def _work(self) -> None:
-        name_thread()
+        begin_thread()
         while send := self._next():
             try:
                 send()

@@ -20,10 +20,19 @@ DECIDING = (
 )
 
 
+# What to do where the message of rclpy has these words.
+REMEDIES = {
+    "log directory": "set ROS_LOG_DIR to a folder that can be written to",
+    "security libraries": "use a ROS installation whose Fast DDS has security, or unset ROS_SECURITY_ENABLE",
+}
+
+
 def start_failure(error: Exception) -> str:
-    """Why rclpy did not start, in a line, and what to do about a folder of logs that can't be made."""
-    remedy = ": set ROS_LOG_DIR to a folder that can be written to" if "log directory" in str(error) else ""
-    return f"{one_line(error)}{remedy}"
+    """Why rclpy did not start or made no node, in a line, and what to do about it where that is known."""
+    if isinstance(error, UnicodeEncodeError):
+        return f"{error.object!r} is not UTF-8 text, which ROS needs: choose another name or path"
+    known = [remedy for words, remedy in REMEDIES.items() if words in str(error)]
+    return ": ".join([one_line(error), *known])
 
 
 def stay_local() -> None:

@@ -14,7 +14,11 @@ import rclpy
 from lifecycle_msgs.srv import GetState
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.context import Context
-from rclpy.exceptions import InvalidServiceNameException, InvalidTopicNameException
+from rclpy.exceptions import (
+    InvalidServiceNameException,
+    InvalidTopicNameException,
+    ParameterException,
+)
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -40,18 +44,19 @@ def ros_context(node: str, arguments: Sequence[str]) -> Iterator[Context]:
 
     Raises UsageError on invalid arguments, or if ``node`` is not a valid name.
     """
+    wrong_name = UsageError(f"--node is {node!r}, not the name of a ROS node: give one such as /gearbox")
+    if not node.isascii():  # rclpy fails on bytes that are no text with a TypeError
+        raise wrong_name
     stay_local()
     context = Context()
     try:
         rclpy.init(args=list(arguments), context=context, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # what rclpy raises on arguments it can't read
+    except (RuntimeError, UnicodeEncodeError) as error:  # what rclpy raises on arguments it can't read
         raise UsageError(f"ROS did not start: {start_failure(error)}") from error
     try:
         yield context
     except (InvalidTopicNameException, InvalidServiceNameException) as error:
-        raise UsageError(
-            f"--node is {node!r}, not the name of a ROS node: give one such as /gearbox"
-        ) from error
+        raise wrong_name from error
     finally:
         context.try_shutdown()
 
@@ -76,6 +81,13 @@ class GearboxInfo(NamedTuple):
         return round((stamp_ns - self.epoch_ns) / self.interval_ns)
 
 
+def _client_node(name: str, context: Context) -> Node:
+    try:
+        return Node(name, context=context)
+    except (RuntimeError, ParameterException) as error:  # of the middleware, or of a parameter given to it
+        raise UsageError(f"ROS did not start: {start_failure(error)}") from error
+
+
 class GearboxClient(ABC):
     """A node that sends requests to one gearbox and listens to it, all on the caller's thread.
 
@@ -93,7 +105,7 @@ class GearboxClient(ABC):
         self._timeout = timeout
         self._received = received
         self._interruptible = True
-        self._ros = Node(client, context=context)
+        self._ros = _client_node(client, context)
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self._ros)
         self._reset: Any = self._ros.create_client(Trigger, f"{gearbox}/reset")

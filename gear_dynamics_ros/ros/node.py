@@ -23,6 +23,7 @@ from gear_dynamics_ros.parameters import ParameterChange, Parameters
 from gear_dynamics_ros.physics import step_check
 from gear_dynamics_ros.physics.advice import parameter_warnings
 from gear_dynamics_ros.realtime.mailbox import Mailbox
+from gear_dynamics_ros.realtime.scheduling import require_schedulable
 from gear_dynamics_ros.realtime.session import Session
 from gear_dynamics_ros.recording.ring import require_memory
 from gear_dynamics_ros.ros import diagnostics, node_topics
@@ -134,6 +135,7 @@ class GearboxNode(LifecycleNode):
             checkpoint.require_place(Path(self.parameters.checkpoint.path).absolute())
         if self.parameters.recording.path and self.parameters.recording.mode == "ring":
             require_memory(self.parameters, available_memory())
+        require_schedulable(self.parameters.pacing)
         warm_up(self._log.info, self._log.warning)
         self._engine = Engine(self.parameters)
         self._mailbox = Mailbox(self.parameters, time.monotonic_ns())

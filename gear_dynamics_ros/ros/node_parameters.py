@@ -9,9 +9,11 @@ from collections.abc import Sequence
 from typing import Any, cast
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import (
     ParameterChange,
     Parameters,
@@ -20,8 +22,8 @@ from gear_dynamics_ros.parameters import (
     differences,
     specifications,
 )
-from gear_dynamics_ros.parameters.rcl_yaml import resolve_scalar
-from gear_dynamics_ros.parameters.tree import ROS_OWN_PARAMETERS
+from gear_dynamics_ros.parameters.rcl_yaml import parse_yaml, resolve_scalar
+from gear_dynamics_ros.parameters.tree import ROS_OWN_PARAMETERS, unknown_parameter
 
 LARGEST_INTEGER = 2**63 - 1
 
@@ -50,26 +52,53 @@ def declare(node: Node) -> Parameters:
     return parameters
 
 
+class UnknownParameterError(ParameterNotDeclaredException):
+    """A parameter that the node does not have; rclpy's own error can lose its name."""
+
+    def __init__(self, name: str) -> None:
+        Exception.__init__(self, unknown_parameter(name))
+
+
+def require_known(node: Node, parameters: Sequence[Parameter]) -> None:
+    """Raise UnknownParameterError, which the services of rclpy answer with, if ``node`` lacks a parameter."""
+    for parameter in parameters:
+        if not node.has_parameter(parameter.name):
+            raise UnknownParameterError(parameter.name)
+
+
 def numbers_to_floats(parameters: list[Parameter]) -> list[Parameter]:
     """``parameters``, about to be set, with other spellings of a number converted to the float required.
 
-    These are integers, and texts such as 5e-2, which the tools of ROS do not read as numbers.
+    These are integers, and texts such as 5e-2 or [0, 5e-2], which the tools of ROS do not read as numbers.
     """
     floats = {name for name, row in specifications().items() if row.element is float}
     return [_floated(parameter) if parameter.name in floats else parameter for parameter in parameters]
 
 
 def _floated(parameter: Parameter) -> Parameter:
-    value: Any = parameter.value
-    if parameter.type_ == Parameter.Type.INTEGER_ARRAY:
+    value = _read(parameter)
+    if isinstance(value, list) and value and all(map(_is_number, value)):
         return Parameter(parameter.name, value=[float(entry) for entry in value])
-    if parameter.type_ == Parameter.Type.STRING:
-        value = resolve_scalar(value)
-    if parameter.type_ in (Parameter.Type.STRING, Parameter.Type.INTEGER) and not isinstance(
-        value, bool | str
-    ):
+    if _is_number(value):
         return Parameter(parameter.name, value=float(value))
     return parameter
+
+
+def _read(parameter: Parameter) -> Any:
+    """Value of ``parameter``; texts, and a text of a list, as rcl would read them."""
+    value: Any = parameter.value
+    if parameter.type_ == Parameter.Type.STRING_ARRAY:
+        return [resolve_scalar(entry) for entry in value]
+    if parameter.type_ == Parameter.Type.STRING and value.startswith("["):
+        try:
+            return parse_yaml(value)
+        except UsageError:
+            return value
+    return resolve_scalar(value) if parameter.type_ == Parameter.Type.STRING else _listed(_plain(value))
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def change_by(parameters: Parameters, given: Sequence[Parameter]) -> ParameterChange:

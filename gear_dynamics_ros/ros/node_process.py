@@ -16,8 +16,8 @@ from gear_dynamics_ros.ros.discovery import start_failure, stay_local
 from gear_dynamics_ros.ros.node import GearboxNode
 from gear_dynamics_ros.simulation.warm_up import warm_up
 from gear_dynamics_ros.system.command import FAILURE, run_reporting
-from gear_dynamics_ros.system.processes import Signals
-from gear_dynamics_ros.system.threads import wake_punctually
+from gear_dynamics_ros.system.processes import Signals, ignore_signals
+from gear_dynamics_ros.system.threads import share_lock_promptly, wake_punctually
 
 SPIN = 1.0  # longest wait for callbacks, s
 
@@ -39,11 +39,13 @@ def _serve(argv: Sequence[str] | None, signals: Signals) -> int:
     try:
         return _spin(signals)
     finally:
+        ignore_signals()
         try_shutdown()
 
 
 def _spin(signals: Signals) -> int:
     wake_punctually()
+    share_lock_promptly()
     executor = _executor()
     reasons: list[str] = []
 
@@ -79,6 +81,8 @@ def _executor() -> Executor:
 def _node(stop: Callable[[str], None]) -> GearboxNode:
     try:
         return GearboxNode(stop)
-    except (ValueError, RuntimeError, NameValidationException) as error:
+    except RuntimeError as error:
+        raise UsageError(f"ROS did not start: {start_failure(error)}") from error
+    except (ValueError, NameValidationException) as error:
         remedy = "an array must have an entry, a name must be one of ROS"
         raise UsageError(f"ROS arguments: {one_line(error)}: {remedy}") from error

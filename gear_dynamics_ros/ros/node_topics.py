@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import partial
 from importlib import import_module
 from typing import Any
@@ -18,7 +18,7 @@ from gear_dynamics_ros.chunk import Chunk
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages.cdr import deserialize
 from gear_dynamics_ros.messages.encoder import Record
-from gear_dynamics_ros.topics import COMMAND_TOPICS, TOPICS, NodeNames, Topic
+from gear_dynamics_ros.topics import CHUNK_TOPICS, COMMAND_TOPICS, TOPICS, NodeNames, Topic
 
 Publishers = Mapping[str, Publisher]
 
@@ -28,13 +28,29 @@ class PublisherSink:
 
     def __init__(self, publishers: Publishers) -> None:
         self._publishers = publishers
+        self._chunk_publishers = {key: publishers[key] for key in CHUNK_TOPICS if key in publishers}
+        self._heard: Collection[str] = ()
         self._last_clock: bytes | None = None
         self._clock_is_old = False
+
+    def wanted(self) -> Collection[str]:
+        """Topics that somebody listens to; without a subscription DDS would drop a message.
+
+        And the clock, the last of which is for those who join in a pause.
+        """
+        self._heard = [
+            key
+            for key, publisher in self._chunk_publishers.items()
+            if key == "clock" or publisher.get_subscription_count()
+        ]
+        return self._heard
 
     def write(self, _: Chunk | None, records: Sequence[Record]) -> None:
         for record in records:
             publisher = self._publishers.get(record.topic)
-            if publisher is not None:
+            if publisher is not None and (
+                record.topic in self._heard or record.topic not in self._chunk_publishers
+            ):
                 publisher.publish(record.data)
                 if record.topic == "clock":
                     self._last_clock, self._clock_is_old = record.data, False

@@ -42,7 +42,7 @@ class RuntimeParameters:
         self._restores = 0  # in progress
         self._showing = False  # whether the values being set are in force already
         self._ignore_sim_time()
-        node.add_pre_set_parameters_callback(node_parameters.numbers_to_floats)
+        node.add_pre_set_parameters_callback(self._prepare)
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._set)
         defer_parameter_answers(node, sender, self._take_work)
@@ -71,6 +71,10 @@ class RuntimeParameters:
                 "use_sim_time is ignored: the gearbox makes time and never follows /clock"
             )
             self._node.set_parameters([Parameter("use_sim_time", Parameter.Type.BOOL, False)])
+
+    def _prepare(self, parameters: list[Parameter]) -> list[Parameter]:
+        node_parameters.require_known(self._node, parameters)
+        return node_parameters.numbers_to_floats(parameters)
 
     def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
         if any(parameter.name == "use_sim_time" and parameter.value for parameter in parameters):

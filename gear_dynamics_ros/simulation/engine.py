@@ -167,7 +167,7 @@ class Engine:
     @property
     def counters(self) -> Counters:
         """Totals since the start or the last reset."""
-        return Counters(*(int(self._state[name][0]) for name in Counters._fields))
+        return Counters(*self._state[_COUNTERS].item())
 
     @property
     def mesh_loss(self) -> float:
@@ -230,6 +230,7 @@ def require_resumable(checkpoint: Checkpoint) -> None:
 
 
 _STATE_NAMES = STATE.names or ()
+_COUNTERS = list(Counters._fields)
 # What some entries of the state may be; the others may be any finite number.
 _FLAGS = ("mesh_clamped", "contact", "clamped", "film_limited", "pressed")
 _NOT_NEGATIVE = ("contact_age", "peak_force2", "steps", "events", "capped", "impacts", "flank_changes")

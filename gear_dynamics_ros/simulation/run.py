@@ -64,14 +64,18 @@ class Run:
         """Compute the next chunk, with ``commands`` in force from its first sample; the last may be shorter.
 
         ``received`` are the messages (key in TOPICS, CDR) that set ``commands``. They are written unchanged,
-        before the change that they caused. Raises GearboxError if the run has ended.
+        before the change that they caused. Raises GearboxError, and changes nothing, if the run has ended or
+        the chunk would reach beyond the stamps of ROS.
         """
         self.require_not_ended()
+        samples = self._chunk_samples()
+        self._encoder.require_stampable(self.engine.sample + samples)
         if commands is not None:
             self.engine.command(commands)
         heading, for_newcomers = self._heading(received)
-        chunk = self.engine.advance(self._chunk_samples())
-        records = [*heading, *self._encoder.chunk(chunk)]
+        chunk = self.engine.advance(samples)
+        wanted = {topic for sink in self._sinks for topic in sink.wanted()}
+        records = [*heading, *self._encoder.chunk(chunk, wanted)]
         newcomers, self._newcomers = self._newcomers, []
         _each(
             self._sinks,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Protocol
 
 from gear_dynamics_ros.chunk import Chunk
@@ -11,6 +11,9 @@ from gear_dynamics_ros.messages.encoder import Record
 
 class Sink(Protocol):
     """Receives the output of a run; owns what it keeps."""
+
+    def wanted(self) -> Collection[str]:
+        """Which of CHUNK_TOPICS ``write`` must get of the next chunk; it may get others too."""
 
     def write(self, chunk: Chunk | None, records: Sequence[Record]) -> None:
         """Take messages in order of time, and their chunk; None for messages between two chunks."""
@@ -32,6 +35,9 @@ class ViewerSink:
 
     def __init__(self, viewer: ChunkWriter) -> None:
         self._viewer = viewer
+
+    def wanted(self) -> Collection[str]:
+        return ()
 
     def write(self, chunk: Chunk | None, _: Sequence[Record]) -> None:
         if chunk is not None:

@@ -1,12 +1,26 @@
-"""How much memory this process can still get."""
+"""How much memory this process can still get, and whether it stays resident."""
 
 from __future__ import annotations
 
+import ctypes
+import os
 import sys
 from pathlib import Path
 
 _MEMINFO = Path("/proc/meminfo")
 _CONTROL_GROUP = Path("/sys/fs/cgroup")
+# MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT: pages once they are used, not the gigabytes that are reserved.
+_LOCK_WHAT_IS_USED = 1 | 2 | 4
+
+
+def lock_memory() -> None:
+    """Keep all memory that this process uses, now and later, from being swapped out, on Linux.
+
+    Raises OSError.
+    """
+    if ctypes.CDLL(None, use_errno=True).mlockall(_LOCK_WHAT_IS_USED):
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number))
 
 
 def available_memory() -> int:

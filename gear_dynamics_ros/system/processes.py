@@ -16,7 +16,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Final
 
-from gear_dynamics_ros.system.threads import name_thread
+from gear_dynamics_ros.system.threads import begin_thread
 
 # Signals that ask a program to end.
 END_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -79,6 +79,15 @@ def _handled_by(handler: Callable[[int, FrameType | None], None], numbers: Seque
             signal.signal(number, earlier)
 
 
+def ignore_signals() -> None:
+    """Ignore the END_SIGNALS until the process ends. For the main thread.
+
+    Call it when the exit code is decided: Python takes a while to end, and a signal would replace the code.
+    """
+    for number in END_SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+
+
 def _is_ignored_hangup(number: int) -> bool:
     return number == signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN
 
@@ -110,7 +119,7 @@ class Signals:
             self._stop = stop
 
     def _work(self) -> None:
-        name_thread()
+        begin_thread()
         while number := self._receiver.recv(1):
             with self._lock:
                 stop = self._stop

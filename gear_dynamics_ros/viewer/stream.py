@@ -13,7 +13,7 @@ import numpy as np
 from gear_dynamics_ros.chunk import Chunk
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.system.threads import name_thread
+from gear_dynamics_ros.system.threads import begin_thread
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -107,7 +107,7 @@ class Viewer:
         self._thread.join(CLOSE_TIMEOUT)
 
     def _run(self) -> None:
-        name_thread()
+        begin_thread()
         try:
             if self._open():
                 self._show()

@@ -55,12 +55,22 @@ def test_the_listener_counts_what_is_lost_and_doubled(soak: ModuleType) -> None:
     assert (samples.heard, samples.lost, samples.doubled) == (12, 3, 1)
 
 
-def found(soak: ModuleType, messages: Sequence[tuple[int, ...]] = ((0, 1), (2, 3)), **last: float) -> Any:
-    """What a soak of 600 s found that is as it should be, but for ``last``: entries of its last look."""
+def found(
+    soak: ModuleType,
+    messages: Sequence[tuple[int, ...]] = ((0, 1), (2, 3)),
+    bare_overruns: int = 0,
+    **last: float,
+) -> Any:
+    """What a soak of 600 s found that is as it should be, but for ``last``: entries of its last look.
+
+    ``bare_overruns`` are those of the bare loop in 30 000 chunks, a tenth of the node's.
+    """
     good = soak.Look(time=0.0, memory=500.0, overruns=2, lateness=0.1, queued=0.0, lost=0, dropped=0)
     looks = [good._replace(time=float(second)) for second in range(600)]
     looks.append(good._replace(**{"time": 600.0, **last}))
-    return soak.Found(looks, samples_of(soak, *messages), 600.0, 600.0, 0.002, 12_000, 29, 0.5)
+    bare = soak.Bare(30_000, bare_overruns, 0.001)
+    samples = samples_of(soak, *messages)
+    return soak.Found(looks, samples, 600.0, 600.0, 0.002, 12_000, 29, 0.5, 0.0006, bare)
 
 
 @pytest.mark.parametrize(
@@ -69,6 +79,8 @@ def found(soak: ModuleType, messages: Sequence[tuple[int, ...]] = ((0, 1), (2, 3
         (((0, 1), (2, 3)), {}, []),
         (((0, 1), (2, 3)), {"overruns": 32.0}, []),  # 30 in 300 000 chunks
         (((0, 1), (2, 3)), {"overruns": 33.0}, ["overruns"]),
+        (((0, 1), (2, 3)), {"overruns": 52.0, "bare_overruns": 2}, []),  # 20 that the machine explains
+        (((0, 1), (2, 3)), {"overruns": 53.0, "bare_overruns": 2}, ["overruns"]),
         (((0, 1), (2, 3)), {"lost": 1.0}, ["messages the recorder lost"]),
         (((0, 1), (3, 4)), {}, ["samples lost"]),
         (((0, 1), (1, 2)), {}, ["samples doubled"]),
@@ -79,7 +91,7 @@ def test_the_exit_code_is_1_for_each_figure_that_is_missed(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     messages: Sequence[tuple[int, ...]],
-    last: dict[str, float],
+    last: dict[str, Any],
     missed: list[str],
 ) -> None:
     code = soak.report(found(soak, messages, **last), tmp_path / "soak.md")
@@ -111,12 +123,14 @@ def test_every_sample_of_a_real_node_arrives(
     soak: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(soak, "BARE_INTERVAL", 2.0)
     made = soak.soak(5.0)
     rows = {row.name: row for row in soak.rows(made)}
     for name in ("samples lost", "samples doubled", "messages the recorder lost"):
         assert (rows[name].value, rows[name].met) == ("0", True)
     assert int(rows["samples heard"].value) > SAMPLE_RATE
     assert made.commands > 0 and made.looks[-1].memory > 50.0 and made.processor_share > 0.0
+    assert made.bare.chunks > 0 and made.bare.latest > 0.0
     assert list(tmp_path.iterdir()) == []
 
 

@@ -460,3 +460,14 @@ def test_a_shipped_profile_holds_in_real_time(
     run = process("drive", CONFIG / "profiles" / "load_step.yaml", "--wait", "60")
     assert run.wait() == 0, run.output + gearbox.output
     assert " ms late (median), " in run.stdout
+
+
+def test_a_parameter_of_ros_that_drive_cannot_have_is_told_in_a_line(
+    ros_domain: int, process: StartProcess, tmp_path: Path
+) -> None:
+    path = tmp_path / "profile.yaml"
+    path.write_text("duration: 0.1\ncommands: {load_torque: [{at: 0.0, value: 30.0}]}\n")
+    run = process("drive", path, "--ros-args", "-p", "use_sim_time:=3")
+    assert run.wait() == 2
+    (line,) = run.stderr.splitlines()
+    assert line.startswith("drive: error: ROS did not start: ") and "use_sim_time" in line

@@ -122,13 +122,24 @@ def cut_to_half(path: Path) -> None:
     os.truncate(path, path.stat().st_size // 2)
 
 
+def flip_a_bit_of_the_code(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[data.index(b"\x7fELF") + 4096] ^= 1
+    path.write_bytes(data)
+
+
 def replace_by_another(path: Path) -> None:
     path.write_bytes(pickle.dumps(numba.__version__) + pickle.dumps(7))
 
 
 @pytest.mark.parametrize(
     ("suffix", "damage"),
-    [("nbi", cut_to_nothing), ("nbc", cut_to_half), ("nbi", replace_by_another)],
+    [
+        ("nbi", cut_to_nothing),
+        ("nbc", cut_to_half),
+        ("nbc", flip_a_bit_of_the_code),
+        ("nbi", replace_by_another),
+    ],
 )
 def test_a_damaged_cache_is_one_line_and_is_replaced(
     small: SmallKernel, suffix: str, damage: Callable[[Path], None]
@@ -211,9 +222,6 @@ def test_a_source_that_cannot_be_written_to_is_cached_elsewhere(copy: Copy) -> N
     first, cached = copy.evaluate()
     assert not cached
     assert copy.evaluate() == (first, True)
-    copy.edit(BEFORE, AFTER)
-    edited, cached = copy.evaluate()
-    assert not cached and edited != first
 
 
 def test_the_kernel_depends_on_its_folder_and_the_channel_table_alone() -> None:

@@ -15,6 +15,7 @@ from gear_dynamics_ros.realtime.mailbox import Mailbox
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.simulation.run_state import Ending
+from gear_dynamics_ros.topics import CHUNK_TOPICS
 from support.processes import until
 
 # Half a second of simulated time from the start to the speed limit.
@@ -27,6 +28,9 @@ class Watcher:
     def __init__(self):
         self.chunks = []
         self.changed = threading.Condition()
+
+    def wanted(self):
+        return CHUNK_TOPICS
 
     def write(self, chunk, records):
         with self.changed:
@@ -89,6 +93,9 @@ def test_a_sink_that_fails_ends_the_run_with_its_reason(start):
     live, _, ended = start()
 
     class Broken:
+        def wanted(self):
+            return CHUNK_TOPICS
+
         def write(self, chunk, records):
             raise RuntimeError("out of paper")
 
@@ -191,6 +198,9 @@ def test_parameters_change_between_two_chunks_and_the_pace_with_them(start):
 
 class Broken:
     """A sink that takes chunks and nothing between two."""
+
+    def wanted(self):
+        return CHUNK_TOPICS
 
     def write(self, chunk, records):
         if chunk is None:

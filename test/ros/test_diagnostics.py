@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Float32, Float64
 
 from gear_dynamics_ros.chunk import Commands
-from gear_dynamics_ros.topics import TOPICS, full_topic_name
+from gear_dynamics_ros.topics import CHUNK_TOPICS, COMMAND_TOPICS, TOPICS, full_topic_name
 from support.domains import free_port
 from support.gearbox import Client, Peer, start_gearbox
 from support.paths import CONFIG
@@ -131,16 +131,17 @@ def test_a_publisher_of_another_type_on_a_command_is_told(ros_domain: int, proce
     assert node.output.count(f"/gearbox/command/speed has {told}") == 1
 
 
-def test_the_file_for_ros2_bag_record_has_the_depths_of_the_node() -> None:
+def test_the_file_for_ros2_bag_record_has_every_topic_of_a_chunk_deep_enough_for_a_second() -> None:
     found = yaml.safe_load((CONFIG / "rosbag2/qos_overrides.yaml").read_text())
-    deep = {full_topic_name(topic): topic for topic in TOPICS.values() if topic.depth > 10}
+    often = {TOPICS[key] for key in (*COMMAND_TOPICS, *CHUNK_TOPICS, "applied_command")} - {TOPICS["clock"]}
+    assert all(topic.reliable for topic in often)
+    chunks = round(1.0 / 0.0005)
     assert found == {
-        name: {
+        full_topic_name(topic): {
             "history": "keep_last",
-            "depth": topic.depth,
+            "depth": chunks,
             "reliability": "reliable",
-            "durability": "volatile",
+            "durability": "transient_local" if topic.latched else "volatile",
         }
-        for name, topic in deep.items()
+        for topic in often
     }
-    assert all(topic.reliable and not topic.latched for topic in deep.values())

@@ -325,9 +325,30 @@ def test_a_parameter_that_cannot_be_is_refused_with_the_reason(
     assert client.get(name) == before
 
 
+def test_a_parameter_that_does_not_exist_is_refused_by_its_name(client: Client) -> None:
+    result = client.put("oil.viscosty", 0.03)
+    assert not result.successful
+    assert result.reason == "there is no parameter oil.viscosty: did you mean oil.viscosity?"
+    before = client.get("oil.viscosity")
+    result = client.put_all({"oil.viscosity": before * 2.0, "oil": 1.0})
+    assert not result.successful and result.reason.startswith("oil is a group, not a parameter")
+    assert client.get("oil.viscosity") == before
+
+
 def test_integers_and_texts_of_numbers_are_taken_for_numbers(client: Client) -> None:
-    assert client.put("mesh.error_sin", [0, 0]).successful
-    assert client.get("mesh.error_sin") == [0.0, 0.0]
+    # As ros2 param set and load send [0, 0], [1e-6, 2e-06], [0, 1e-6] and [0, 0.00001].
+    for value, floats in (
+        ([0, 0], [0.0, 0.0]),
+        (["1e-6", "2e-06"], [1e-6, 2e-6]),
+        ("[0, 1e-6]", [0.0, 1e-6]),
+        ("[0, 0.00001]", [0.0, 1e-5]),
+        ([0.0, 0.0], [0.0, 0.0]),
+    ):
+        result = client.put("mesh.error_sin", value)
+        assert result.successful, result.reason
+        assert client.get("mesh.error_sin") == floats
+    for wrong in (["1e-6", "thick"], "[0, thick]", "[0", [True, False]):
+        assert not client.put("mesh.error_sin", wrong).successful
     assert client.put("surface.driven.roughness", "9e-07").successful
     assert client.get("surface.driven.roughness") == 9e-7
 

@@ -67,7 +67,7 @@ def test_a_profile_is_played_to_its_end(launch: Launch, tmp_path: Path) -> None:
 def test_a_mistyped_file_of_parameters_ends_the_launch(launch: Launch, name: str) -> None:
     run = launch(name, "params_file:=/mistyped.yaml")
     assert run.wait() == 1
-    assert "gearbox: error: ROS arguments" in run.output and "/mistyped.yaml" in run.output
+    assert "gearbox: error: ROS did not start" in run.output and "/mistyped.yaml" in run.output
     assert "the gearbox ended with exit code 2" in run.output
 
 

@@ -315,3 +315,20 @@ def test_the_policy_grants_what_replay_publish_uses_and_no_more(ros_domain, proc
     process("replay", "publish", tmp_path / "bag", "--lockstep", "--wait", PATIENCE)
     graph = observer.settled_graph("replay_publish", "/gearbox/command/joint")
     assert graph == policy_profile("replay_publish")
+
+
+def test_a_middleware_without_security_is_told_in_words(ros_domain, process, tmp_path):
+    (tmp_path / "keystore/enclaves/rig").mkdir(parents=True)
+    (tmp_path / "profile.yaml").write_text(PROFILE)
+    secure = {
+        "ROS_SECURITY_KEYSTORE": str(tmp_path / "keystore"),
+        "ROS_SECURITY_ENABLE": "true",
+        "ROS_SECURITY_STRATEGY": "Enforce",
+    }
+    for command in (("gearbox",), ("drive", tmp_path / "profile.yaml")):
+        run = process(*command, "--ros-args", "--enclave", "/rig", **secure)
+        assert run.wait() == 2, run.output
+        assert "Traceback" not in run.output
+        last = run.stderr.splitlines()[-1]
+        assert last.startswith(f"{command[0]}: error: ROS did not start: error creating node")
+        assert last.endswith("or unset ROS_SECURITY_ENABLE")

@@ -18,7 +18,7 @@ from gear_dynamics_ros.simulation.checkpoint import Checkpoint
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.simulation.run_state import Ending, RunState
-from gear_dynamics_ros.topics import TOPICS
+from gear_dynamics_ros.topics import CHUNK_TOPICS, TOPICS
 from support.sinks import Keeper
 
 EPOCH = 1_700_000_000_000_000_000
@@ -49,6 +49,17 @@ class Kept(Keeper):
             (entry["sample"], entry["event"])
             for entry in map(json.loads, (m.data for _, m in self.of("event")))
         ]
+
+
+class Picky(Keeper):
+    """Wants one topic of each chunk."""
+
+    def __init__(self, topic):
+        super().__init__()
+        self.topic = topic
+
+    def wanted(self):
+        return (self.topic,)
 
 
 def start(**values):
@@ -186,3 +197,17 @@ def test_unbalanced_torques_are_named_with_the_acceleration_they_cause():
         )
         == []
     )
+
+
+def test_only_what_some_sink_wants_of_a_chunk_is_encoded():
+    parameters = Parameters()
+    sinks = [Picky("dte"), Picky("energy")]
+    run = Run(Engine(parameters), Encoder(parameters, EPOCH), sinks)
+    run.step()
+    for sink in sinks:
+        assert [r.topic for r in sink.records if r.topic in CHUNK_TOPICS] == ["dte", "energy"]
+    keeper = Kept()
+    run.attach(keeper)
+    run.step()
+    encoded = [record.topic for record in keeper.records if record.topic in CHUNK_TOPICS]
+    assert encoded == [topic for topic in CHUNK_TOPICS if topic not in ("impacts", "clock")]

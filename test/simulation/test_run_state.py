@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import pytest
@@ -16,7 +16,7 @@ from gear_dynamics_ros.parameters import Parameters, change_to, change_values
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
 from gear_dynamics_ros.simulation.run_state import Ending, RunState
-from gear_dynamics_ros.topics import TOPICS
+from gear_dynamics_ros.topics import CHUNK_TOPICS, TOPICS
 
 CHUNK = 200
 RUNNING_AWAY = {
@@ -31,6 +31,9 @@ class Events:
 
     def __init__(self) -> None:
         self.found: list[tuple[int, str, str]] = []
+
+    def wanted(self) -> Collection[str]:
+        return CHUNK_TOPICS
 
     def write(self, chunk: Chunk | None, records: Sequence[Record]) -> None:
         for record in records:

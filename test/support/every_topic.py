@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,7 +20,7 @@ from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.run import Run
-from gear_dynamics_ros.topics import TOPICS, full_topic_name
+from gear_dynamics_ros.topics import CHUNK_TOPICS, TOPICS, full_topic_name
 
 EPOCH_NS = 1_700_000_000_123_456_789
 CHUNKS = 60
@@ -46,6 +46,9 @@ class _Kept:
 
     def __init__(self) -> None:
         self.parts: list[list[Record]] = [[]]
+
+    def wanted(self) -> Collection[str]:
+        return CHUNK_TOPICS
 
     def write(self, _: Chunk | None, records: Sequence[Record]) -> None:
         self.parts[-1].extend(records)

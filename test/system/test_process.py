@@ -72,3 +72,12 @@ def test_a_signal_ignored_by_the_shell_reaches_the_node_all_the_same(ros_domain,
     node.wait_for("running")
     node.signal(signal.SIGINT)
     assert node.wait() == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_after_the_error_does_not_replace_the_exit_code(ros_domain, process, number):
+    node = process("gearbox", "--ros-args", "-p", "oil.viscosity:=-1.0")
+    node.wait_for("gearbox: error: ")
+    while node.returncode is None:
+        node.signal(number)
+    assert node.returncode == 2

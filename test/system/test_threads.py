@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from gear_dynamics_ros.system.threads import name_thread, wake_punctually
+from gear_dynamics_ros.system.threads import begin_thread, wake_punctually
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs Linux's /proc")
 
@@ -32,7 +32,7 @@ def slack():
 
 def test_a_thread_shows_the_first_fifteen_characters_of_its_name():
     def named():
-        name_thread()
+        begin_thread()
         return own("comm")
 
     assert on_a_thread(named, "engine") == "engine"

@@ -13,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import logging
+import pickle
 from functools import cache
 from pathlib import Path
 from types import CellType, FunctionType
@@ -20,6 +21,7 @@ from typing import Any, ClassVar, Final
 
 from numba import njit
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, InTreeCacheLocator
+from numba.core.serialize import dumps
 
 from gear_dynamics_ros.physics.kernel.columns import FROZEN
 from gear_dynamics_ros.physics.kernel.sources import kernel_hash
@@ -44,10 +46,22 @@ class _UnwritableLocator(InTreeCacheLocator):
 
 
 class _Implementation(CompileResultCacheImpl):
+    """Stores a digest with the compiled code: a flipped bit in it would be executed."""
+
     _locator_classes: ClassVar = [  # type: ignore[misc]
         *CompileResultCacheImpl._locator_classes,
         _UnwritableLocator,
     ]
+
+    def reduce(self, data: Any) -> tuple[bytes, bytes]:
+        code: bytes = dumps(super().reduce(data))  # type: ignore[no-untyped-call]
+        return hashlib.sha256(code).digest(), code
+
+    def rebuild(self, target_context: Any, payload: tuple[bytes, bytes]) -> Any:
+        digest, code = payload
+        if hashlib.sha256(code).digest() != digest:
+            raise ValueError("its digest is another")
+        return super().rebuild(target_context, pickle.loads(code))  # type: ignore[no-untyped-call]
 
 
 class _PatientCache(FunctionCache):
