@@ -73,9 +73,10 @@ class _LockstepProfileClient(LockstepClient):
         return ProfileOutcome(results, self._published, [], factor, state, failure, self._signal(failure))
 
     def _connect(self) -> None:
-        super()._connect()
+        # Before the events: the gearbox that has sent an event of the pause knows this subscription too.
         self._waveform = self._listen("waveform", self._take_chunks)
         require_take_message(self._waveform)
+        super()._connect()
 
     def _make_script(self) -> LockstepScript:
         return profile_script(self._profile, self._known.chunk_ns)
