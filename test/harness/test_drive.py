@@ -10,11 +10,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
-import numpy as np
 import pytest
 import rclpy
 from lifecycle_msgs.srv import GetState
-from numpy.typing import NDArray
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -83,7 +81,7 @@ LOCKSTEP = """
 reset: true
 parameters: {operation.control: speed}
 commands:
-  speed: [{at: 0.1, value: 900.0}]
+  speed: [{at: 0.0, value: 500.0}, {at: 0.1, value: 900.0}]
   load_torque: [{at: 0.2, value: 45.0}]
 expectations:
   - {name: not early, every: load_torque, from: 0.0, to: 0.2, target: 30.0, tolerance: 0.0}
@@ -381,32 +379,34 @@ def test_a_profile_in_lockstep_gives_the_same_bits_at_any_load_and_chunk_length(
     ros_domain: int, process: StartProcess, profile: Path
 ) -> None:
     profile.write_text(LOCKSTEP)
-    folder = profile.parent
-    for name, chunk in (("one", "0.002"), ("two", "0.001"), ("three", "0.002")):
-        busy = [process(sys.executable, "-c", "while True: pass") for _ in range(2 if name == "three" else 0)]
-        words = (f"recording.path:={folder / name}", f"solver.chunk:={chunk}")
-        start_gearbox(process, *words, remap=[f"__node:={name}"])
+    quiet = recorded_in_lockstep(process, profile, "quiet", "0.002")
+    fine = recorded_in_lockstep(process, profile, "fine", "0.001")
+    loops = [process(sys.executable, "-c", "while True: pass") for _ in range(2)]
+    busy = recorded_in_lockstep(process, profile, "busy", "0.002")
+    for loop in loops:
+        loop.stop()
+    for other in (fine, busy):
+        diff = process("replay", "diff", quiet, other, "--align", "start")
+        assert diff.wait() == 0, diff.output
+    assert recording.open(quiet).end_sample - recording.open(quiet).first_sample == 60_000
+
+
+def recorded_in_lockstep(process: StartProcess, profile: Path, name: str, chunk: str) -> Path:
+    """Recording of what the profile makes of a gearbox ``name``, paused before and afterwards."""
+    words = (f"recording.path:={profile.parent / name}", f"solver.chunk:={chunk}")
+    gearbox = start_gearbox(process, *words, remap=[f"__node:={name}"])
+    with Peer("operator", f"/{name}") as operator:
+        assert operator.switch("pause", True).success
+        assert operator.switch("record", False).success
+        assert operator.switch("record", True).success
         run = process("drive", profile, "--lockstep", "--node", name, "--wait", "60")
         assert run.wait() == 0, run.output
-        assert f"/{name} runs again, as before" in run.stdout
-        assert "2 commands published" in run.stdout
-        with Peer("operator", f"/{name}") as operator:
-            assert operator.switch("record", False).success
-            assert operator.get_all(["stepping.chunks", "stepping.timeout"]) == {
-                "stepping.chunks": 1, "stepping.timeout": 10.0,
-            }  # fmt: skip
-        for one in busy:
-            one.stop()
-    waveforms = [after_reset(recording.open(folder / name)) for name in ("one", "two", "three")]
-    assert len({waveform.tobytes() for waveform in waveforms}) == 1
-
-
-def after_reset(bag: recording.Recording) -> NDArray[np.float64]:
-    """What the profile made, without the channel `time`."""
-    (first,) = [event.sample for event in bag.events if event.kind == "reset"]
-    rows = bag.waveform(first, first + 60_000)[:, 1:]
-    assert len(rows) == 60_000
-    return rows
+        assert f"/{name} stays paused, as before" in run.stdout
+        assert "3 commands published" in run.stdout
+        answer = operator.switch("record", False)
+        assert answer.success
+    assert gearbox.stop() == 0
+    return Path(answer.message.removeprefix("recorded "))
 
 
 @pytest.mark.parametrize("paused", [True, False], ids=["paused", "running"])
