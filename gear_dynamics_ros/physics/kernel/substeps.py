@@ -28,9 +28,9 @@ GAP_FRACTION = 0.1
 # Of the age of a bearing contact: the longest substep.
 SHARE_OF_AGE = 0.25
 # The largest product of substep and damping rate of a bearing contact; RK4 itself bears 2.78. The damping of
-# a Kelvin contact begins at once, that of a Hertz contact from zero.
-KELVIN_STIFFNESS_LIMIT = 0.25
-HERTZ_STIFFNESS_LIMIT = 1.0
+# a Hertz contact begins from zero: a whole step bears more.
+STIFFNESS_LIMIT = 0.25
+WHOLE_STEP_STIFFNESS_LIMIT = 1.0
 SUBSTEPS_LIMIT = 4096.0
 SHORTEST_SUBSTEP = 1e-9  # of the step
 
@@ -109,9 +109,10 @@ def longest_substep(constants: KernelRecord, state: KernelRecord, here: KernelRe
     """
     rate = max(here.damping[0] * constants.per_mass[0], here.damping[1] * constants.per_mass[1])
     step: float = longest_near_gap(constants, state, here, constants.step)
-    limit = KELVIN_STIFFNESS_LIMIT if constants.kelvin else HERTZ_STIFFNESS_LIMIT
+    if not constants.kelvin and step * rate <= WHOLE_STEP_STIFFNESS_LIMIT:
+        return step
     substeps = 1.0
-    while step * rate > limit * substeps:
+    while step * rate > STIFFNESS_LIMIT * substeps:
         substeps *= 2.0
         if substeps == SUBSTEPS_LIMIT:
             state.capped += 1
