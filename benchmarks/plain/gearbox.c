@@ -1,9 +1,10 @@
 /*
  * The gearbox model as a plain scalar C program: the yardstick of the kernel's speed.
  *
- * Same equations, same integrator, same events and same samples as gear_dynamics_ros/physics/kernel, written
- * the way C is written: structures, ordinary control flow, no intrinsics. Works and losses, and the list of
- * impacts, are the kernel's alone. All values are SI; equation numbers are the paper's.
+ * Same equations, same RK4, same events and same samples as gear_dynamics_ros/physics/kernel, written the way C
+ * is written: structures, ordinary control flow, no intrinsics. Works and losses, the list of impacts, and the
+ * mesh impulse are the kernel's alone: here a step adds what RK4 misses of the surfaces, to sixth order, and is
+ * halved for the damping of a contact as for any other. All values are SI; equation numbers are the paper's.
  */
 
 #include <math.h>

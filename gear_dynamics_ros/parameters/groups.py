@@ -332,7 +332,7 @@ class OperationParameters:
 class SolverParameters:
     """Grid of simulated time: steps, samples, chunks."""
 
-    step: float = parameter(1.0e-6, "fixed integration step", unit="s", minimum=1e-9, maximum=1e-2)
+    step: float = parameter(2.0e-6, "fixed integration step", unit="s", minimum=1e-9, maximum=1e-2)
     sample_interval: float = parameter(
         1.0e-5,
         "interval between waveform samples: a whole number of nanoseconds and of steps",

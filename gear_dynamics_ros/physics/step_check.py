@@ -17,7 +17,9 @@ DECAY_LIMIT = 2.785
 # RK4 turns an oscillation of z = h w too slowly by z^4/120 and damps it by a ratio of z^5/144: here by 5e-4
 # and 2e-4, far below the damping of any gear.
 ACCURACY_LIMIT = 0.5
-STEPS_PER_WAVE = 4.0
+# Waves of the surfaces are integrated from their derivatives, stiffness and static error like the motion.
+STEPS_PER_WAVE = 2.0
+STEPS_PER_HARMONIC = 4.0
 PHASES_PER_HARMONIC = 32
 
 
@@ -71,6 +73,12 @@ def checks(parameters: Parameters, speed: float | None = None) -> list[Check]:
             waves_per_turn(parameters) * turning / (2.0 * math.pi),
             1.0 / STEPS_PER_WAVE,
             f"fewer than {STEPS_PER_WAVE:g} steps see it pass",
+        ),
+        check(
+            "the frequency of the highest harmonic",
+            harmonics_per_turn(parameters) * turning / (2.0 * math.pi),
+            1.0 / STEPS_PER_HARMONIC,
+            f"fewer than {STEPS_PER_HARMONIC:g} steps see it pass",
         ),
     ]
 
@@ -185,13 +193,19 @@ def film_damping(scale: float, eps: float) -> float:
 
 
 def waves_per_turn(parameters: Parameters) -> float:
-    """Of the shortest wave that stiffness, static error and rough surfaces have, on the driving gear."""
-    mesh, surface = parameters.mesh, parameters.surface
+    """Of the shortest wave that rough surfaces have, on the driving gear; 0 if both are smooth."""
+    surface = parameters.surface
+    rough = max(surface.driving.roughness, surface.driven.roughness) > 0.0
+    shortest: float = surface.scale ** (surface.waves - 1) if rough else 0.0
+    return parameters.gears.driving.teeth * shortest
+
+
+def harmonics_per_turn(parameters: Parameters) -> float:
+    """Of the highest harmonic that stiffness and static error have, on the driving gear."""
+    mesh = parameters.mesh
     series = (mesh.stiffness_cos, mesh.stiffness_sin, mesh.error_cos, mesh.error_sin)
     orders = [h for amplitudes in series for h, a in enumerate(amplitudes, start=1) if a != 0.0]
-    rough = max(surface.driving.roughness, surface.driven.roughness) > 0.0
-    shortest = max([0.0, *orders, surface.scale ** (surface.waves - 1) if rough else 0.0])
-    return parameters.gears.driving.teeth * shortest
+    return float(parameters.gears.driving.teeth * max(orders, default=0))
 
 
 def bearing_of(parameters: Parameters, side: str) -> BearingParameters:

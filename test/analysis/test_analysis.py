@@ -193,7 +193,9 @@ def loaded(path: Path, parameters: Parameters, chunks: int) -> Path:
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return loaded(tmp_path_factory.mktemp("analysis") / "bag", Parameters(), 240)
+    return loaded(
+        tmp_path_factory.mktemp("analysis") / "bag", Parameters.from_flat({"solver.step": 1e-6}), 240
+    )
 
 
 def test_analyze_draws_and_counts(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

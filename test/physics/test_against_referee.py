@@ -117,10 +117,17 @@ def test_recorded_runs(name: str, goal: float) -> None:
 
 
 @pytest.mark.parametrize("name", RUNS)
+def test_engine_agrees_with_the_referee_at_the_default_step(name: str) -> None:
+    samples = run_engine(name, Parameters.from_flat({}).solver.step)
+    goal = 0.1 if "18000 rpm" in name else 0.05
+    assert dte_error(samples, refereed(name)) < goal * NANOMETRE
+
+
+@pytest.mark.parametrize("name", RUNS)
 def test_engine_agrees_with_the_referee(name: str) -> None:
     expected = refereed(name)
     samples = run_engine(name, 1e-6)
-    assert dte_error(samples, expected) < 0.1 * NANOMETRE
+    assert dte_error(samples, expected) < 0.01 * NANOMETRE
     off = disagreement(samples, expected, len(CHANNELS))
     assert max(off.values()) < 1e-5, off
 
@@ -149,7 +156,7 @@ def test_the_film_carries_load_where_the_shafts_reverse() -> None:
 @pytest.mark.parametrize(("name", "depth"), DEPTHS)
 def test_grazing_contact(name: str, depth: float) -> None:
     graze = GRAZES[name]
-    p = Parameters.from_flat(grazing(name, depth))
+    p = Parameters.from_flat({**grazing(name, depth), "solver.step": 1e-6})
     referee, engine = Referee(nested(p.to_flat())), Engine(p)
     expected = referee.run(SAMPLES)
     until = round(graze.window[1] / p.solver.sample_interval)

@@ -189,7 +189,7 @@ def test_the_film_is_held_where_a_lower_limit_says_so() -> None:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_the_ledger_closes_over_changes(model: str) -> None:
-    engine = Engine(parameters(model=model, waveform_channels=tuple(COLUMN)))
+    engine = Engine(parameters(model=model, waveform_channels=tuple(COLUMN), solver__step=1e-6))
     chunks: list[Chunk] = [engine.advance(50)]
     stored_by_changes = 0.0
     for values in CHANGES[:-1]:

@@ -145,7 +145,12 @@ def test_surfaces_are_continuous_where_the_phase_wraps(phase: str, teeth: tuple[
 
 def test_accumulated_angles_run_on() -> None:
     engine = Engine(
-        parameters(gears__driving__teeth=20, operation__control="torque", solver__sample_interval=1e-6)
+        parameters(
+            gears__driving__teeth=20,
+            operation__control="torque",
+            solver__step=1e-6,
+            solver__sample_interval=1e-6,
+        )
     )
     chunk = engine.advance(20_000)
     speeds = np.stack([chunk["driving_speed"], chunk["driven_speed"]], axis=1)

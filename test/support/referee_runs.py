@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -50,13 +51,23 @@ LOPSIDED: dict[str, Any] = {
     "bearings.driven.restitution": 0.35,
 }
 BACK: dict[str, Any] = {"operation.drive_torque": -40.0, "operation.load_torque": -40.0}
-# The default gearbox at 15500 rpm, where the surface's highest waves last six steps.
+# The default gearbox at speeds where the surface's highest waves last three steps of 2 us and fewer.
 FAST: dict[str, Any] = {name: Parameters.from_flat({}).to_flat()[name] for name in ROUGH}
-FAST |= {"operation.control": "torque", "operation.speed": 1623.156}
+FAST |= {"operation.control": "torque", "operation.speed": 15500.0 * math.pi / 30.0}
+FASTER: dict[str, Any] = {**FAST, "operation.speed": 18000.0 * math.pi / 30.0}
 RUNS: dict[str, dict[str, Any]] = {
     "traditional, refined, 15500 rpm": {"model": "traditional", **FAST},
     "compared, refined, 15500 rpm": {"model": "compared", **FAST},
     "improved, refined, 15500 rpm": {"model": "improved", **FAST},
+    "traditional, refined, 18000 rpm": {"model": "traditional", **FASTER},
+    "compared, refined, 18000 rpm": {"model": "compared", **FASTER},
+    "improved, refined, 18000 rpm": {"model": "improved", **FASTER},
+    "traditional, published, 15500 rpm": {"model": "traditional", **PUBLISHED, **FAST},
+    "compared, published, 15500 rpm": {"model": "compared", **PUBLISHED, **FAST},
+    "improved, published, 15500 rpm": {"model": "improved", **PUBLISHED, **FAST},
+    "traditional, published, 18000 rpm": {"model": "traditional", **PUBLISHED, **FASTER},
+    "compared, published, 18000 rpm": {"model": "compared", **PUBLISHED, **FASTER},
+    "improved, published, 18000 rpm": {"model": "improved", **PUBLISHED, **FASTER},
     "improved, back flank, unbalanced": {
         "model": "improved",
         "operation.drive_torque": -30.0,

@@ -12,7 +12,8 @@
 ``mesh``      teeth in mesh
 ``dynamics``  equations of motion, load and governor
 ``events``    switching surfaces
-``step``      one trial step with frozen flags, surface impulse
+``impulse``   what RK4 misses of the mesh force
+``step``      one trial step with frozen flags
 ``search``    where in a step an event falls
 ``switches``  what an event switches
 ``substeps``  one whole step, split at its events

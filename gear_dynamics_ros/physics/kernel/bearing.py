@@ -15,6 +15,8 @@ class BearingForces(NamedTuple):
 
     force_x: Pair  # N, on the gear, -F_b n
     force_y: Pair
+    normal_x: Pair  # n, from the bearing's centre to the journal's
+    normal_y: Pair
     penetration: Pair  # m, delta
     penetration_rate: Pair  # m/s
     damping: Pair  # N s/m
@@ -47,6 +49,8 @@ def bearing_forces(constants: KernelRecord, state: KernelRecord, motion: Motion)
     return BearingForces(
         force_x=-force * nx,
         force_y=-force * ny,
+        normal_x=nx,
+        normal_y=ny,
         penetration=penetration,
         penetration_rate=penetration_rate,
         damping=contact * damping,

@@ -138,6 +138,8 @@ def evaluate_point(constants: KernelRecord, state: KernelRecord, point: KernelRe
     point.cos_alpha, point.sin_alpha = teeth.cos_alpha, teeth.sin_alpha
     point.half_backlash, point.load = teeth.half_backlash, load
     point.surface, point.surface_rate = teeth.surface, teeth.surface_rate
+    point.deflection, point.deflection_rate = teeth.deflection, teeth.deflection_rate
+    point.stiffness, point.stiffness_rate = teeth.stiffness, teeth.stiffness_rate
     point.mesh_energy = 0.5 * teeth.stiffness * teeth.deflection * teeth.deflection
     store(point.penetration, 0, contacts.penetration)
     store(point.penetration_rate, 0, contacts.penetration_rate)

@@ -178,6 +178,10 @@ POINT = padded_record(
         ("half_backlash", F8),
         ("surface", F8),  # m, z1 + z2
         ("surface_rate", F8),
+        ("deflection", F8),  # m, g
+        ("deflection_rate", F8),
+        ("stiffness", F8),  # N/m, k_1
+        ("stiffness_rate", F8),
         ("mesh_energy", F8),  # N m, of the teeth's spring
         ("load", F8),  # N m, T_L
         ("penetration", F8, 2),  # m, delta

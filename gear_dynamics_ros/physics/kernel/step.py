@@ -1,4 +1,4 @@
-"""One trial step with frozen flags: RK4 in Nystrom's form, and the surface impulse.
+"""One trial step with frozen flags: RK4 in Nystrom's form, and what it misses of the mesh.
 
 See "Integration" in docs/model.md.
 """
@@ -10,8 +10,9 @@ from typing import Any
 from gear_dynamics_ros.physics.kernel.compiling import compiled, inlined
 from gear_dynamics_ros.physics.kernel.dynamics import motion_after, right_hand_side
 from gear_dynamics_ros.physics.kernel.events import evaluate_point
-from gear_dynamics_ros.physics.kernel.lanes import any_negative, both, load2, load8, pointer, store
-from gear_dynamics_ros.physics.kernel.mesh import MeshForces, rolling_rate
+from gear_dynamics_ros.physics.kernel.impulse import LastStage, add_mesh_impulse
+from gear_dynamics_ros.physics.kernel.lanes import any_negative, load2, load8, pointer, store
+from gear_dynamics_ros.physics.kernel.mesh import phase_rate, rolling_rate
 from gear_dynamics_ros.physics.kernel.records import (
     EVENT_COUNT,
     TURNS_PER_RADIAN,
@@ -20,7 +21,7 @@ from gear_dynamics_ros.physics.kernel.records import (
     motion_at,
     rates_at,
 )
-from gear_dynamics_ros.physics.kernel.waves import excite_at, surface_at
+from gear_dynamics_ros.physics.kernel.waves import excite_at
 
 
 @inlined
@@ -56,11 +57,11 @@ def trial_step(
 
     motion3 = motion_after(constants, start, half, motion2, second)
     lead = lead_factor * half * (motion2.omega[0] - reference_speed)
-    third_rates, teeth, _, _, _ = right_hand_side(constants, state, motion3, end.middle, lead)
+    third_rates, teeth, contacts, _, _ = right_hand_side(constants, state, motion3, end.middle, lead)
 
     motion4 = motion_after(constants, start, h, motion3, third_rates)
     lead = lead_factor * h * (motion3.omega[0] - reference_speed)
-    fourth, _, _, _, _ = right_hand_side(constants, state, motion4, end.excitation, lead)
+    fourth, last_teeth, _, _, _ = right_hand_side(constants, state, motion4, end.excitation, lead)
 
     # Positions need k1 + k2 + k3 of the accelerations, speeds k1 + 2 k2 + 2 k3 + k4.
     ax, ay = second.ax + third_rates.ax, second.ay + third_rates.ay
@@ -103,8 +104,13 @@ def trial_step(
     store(end.film_work, 0, load2(here.film_work, 0) + film_work)
     end.time = here.time + h
     end.lead = lead_factor * h * (mean_omega[0] - reference_speed)
-    if state.flank != 0.0:
-        end.lead += lead_factor * add_surface_impulse(constants, state, here, end, h, end.lead, teeth)
+    if state.flank != 0.0 and state.mesh_clamped == 0.0:
+        taken = rk4_integral(h, first.force, second.force, third_rates.force, fourth.force)
+        shifted = h * sixth * (first.force + second.force + third_rates.force)
+        phase_rate4 = phase_rate(constants, state, motion4.omega[0])
+        stage = LastStage(motion4, fourth, last_teeth, lead, phase_rate4, state.flank)
+        rotation = add_mesh_impulse(constants, state, here, end, h, taken, shifted, teeth, contacts, stage)
+        end.lead += lead_factor * rotation
     end.part_turn = TURNS_PER_RADIAN * end.theta1
     if constants.nominal_phase:
         end.part_turn = here.part_turn + TURNS_PER_RADIAN * h * state.speed
@@ -112,61 +118,6 @@ def trial_step(
     last = EVENT_COUNT - 1
     eventful = any_negative(leaving) | (here.value[last] + third * here.rate[last] < 0.0)
     return bool(evaluate_point(constants, state, end, third) | eventful)
-
-
-@inlined
-def add_surface_impulse(
-    constants: KernelRecord,
-    state: KernelRecord,
-    here: KernelRecord,
-    end: KernelRecord,
-    h: float,
-    lead: float,
-    middle: MeshForces,
-) -> float:
-    """Make up for what RK4 misses of the surfaces' share of the mesh force, f/2 (k1 z + c1 dz/dt).
-
-    The shortest waves turn by a radian in a step; RK4 sums them by Simpson's rule, and the impacts magnify
-    its error a hundredfold. Here the integral of dz/dt is the difference of z, that of z is taken to sixth
-    order from values and rates, and the speed that dz/dt gives enters the damping. All of it follows the
-    cubic through the phase's ends, so that what is added vanishes with the fifth power of ``h``. ``end`` is
-    ``lead`` rad of mesh phase ahead of its excitations. Returns how far gear 1 turns by it, in rad.
-    """
-    rate0, rate1 = constants.teeth1 * here.omega[0], constants.teeth1 * end.omega[0]
-    phase_change = constants.teeth1 * (end.theta1 - here.theta1)
-    rate_middle = 1.5 * phase_change / h - 0.25 * (rate0 + rate1)
-    lead_middle = 0.5 * lead + 0.125 * h * (rate0 - rate1)
-    if constants.nominal_phase:
-        rate1 = rate_middle = constants.teeth1 * state.speed
-        lead_middle = 0.0
-    z0, s0 = here.surface, here.surface_rate
-    zm, sm = surface_at(end.middle, lead_middle, rate_middle)
-    z1, s1 = surface_at(end.excitation, lead, rate1)
-    integral = h * (7.0 * (z0 + z1) + 16.0 * zm) / 30.0 + h * h * (s0 - s1) / 60.0
-    damping, half_flank = 0.0, 0.5 * state.flank
-    if constants.contact_damping:
-        damping = constants.damping
-        half_flank *= 1.0 - state.mesh_clamped
-    taken = h / 6.0 * (4.0 * (zm - z0) + (z1 - z0) - h * (s0 + 2.0 * sm))
-    impulse = half_flank * (
-        damping * ((z1 - z0) - h / 6.0 * (s0 + 4.0 * sm + s1))
-        + middle.stiffness * (integral - h / 6.0 * (z0 + 4.0 * zm + z1))
-        - damping * damping * constants.per_mesh_mass * taken
-    )
-    shift = half_flank * damping * (integral - h * z0 - h * h / 6.0 * (s0 + 2.0 * sm))
-    per_mass = load2(constants.per_mass, 0)
-    per_inertia = load2(constants.base_radius, 0) * load2(constants.per_inertia, 0)
-    speed_change, displacement = both(-impulse, impulse) * per_mass, both(-shift, shift) * per_mass
-    rotation = both(-shift, shift) * per_inertia
-    store(end.vx, 0, load2(end.vx, 0) + speed_change * middle.along_x)
-    store(end.vy, 0, load2(end.vy, 0) + speed_change * middle.along_y)
-    store(end.omega, 0, load2(end.omega, 0) + both(-impulse, impulse) * per_inertia)
-    store(end.x, 0, load2(end.x, 0) + displacement * middle.along_x)
-    store(end.y, 0, load2(end.y, 0) + displacement * middle.along_y)
-    end.u += rolling_rate(constants, rotation)
-    end.theta1 += rotation[0]
-    end.mesh_impulse += impulse
-    return float(rotation[0])
 
 
 @compiled

@@ -25,8 +25,12 @@ STOPS_PER_STEP = 24
 IMPACTS_PER_STEP = 2 * (STOPS_PER_STEP + 1)
 # Of the step: the shortest substep that the beginning or end of a bearing contact asks for.
 GAP_FRACTION = 0.1
-# The largest product of substep and damping rate of a bearing contact; RK4 itself bears 2.78.
+# Of the age of a bearing contact: the longest substep.
+SHARE_OF_AGE = 0.25
+# The largest product of substep and damping rate of a bearing contact; RK4 itself bears 2.78. The damping of
+# a Hertz contact begins from zero: a whole step bears more.
 STIFFNESS_LIMIT = 0.25
+WHOLE_STEP_STIFFNESS_LIMIT = 1.0
 SUBSTEPS_LIMIT = 4096.0
 SHORTEST_SUBSTEP = 1e-9  # of the step
 
@@ -105,6 +109,8 @@ def longest_substep(constants: KernelRecord, state: KernelRecord, here: KernelRe
     """
     rate = max(here.damping[0] * constants.per_mass[0], here.damping[1] * constants.per_mass[1])
     step: float = longest_near_gap(constants, state, here, constants.step)
+    if not constants.kelvin and step * rate <= WHOLE_STEP_STIFFNESS_LIMIT:
+        return step
     substeps = 1.0
     while step * rate > STIFFNESS_LIMIT * substeps:
         substeps *= 2.0
@@ -118,7 +124,7 @@ def longest_substep(constants: KernelRecord, state: KernelRecord, here: KernelRe
 def longest_near_gap(constants: KernelRecord, state: KernelRecord, here: KernelRecord, h: float) -> float:
     """``h``, or less where a bearing contact begins or ends, where delta^1.5 is not smooth.
 
-    No substep is longer than the age of a contact, nor than half the time it seems to have left.
+    No substep is longer than a quarter of the age of a contact, nor than half the time it seems to have left.
     """
     longest = h
     if constants.kelvin:
@@ -126,7 +132,7 @@ def longest_near_gap(constants: KernelRecord, state: KernelRecord, here: KernelR
     shortest = GAP_FRACTION * constants.step
     for gear in range(2):
         if state.contact[gear] == 1.0:
-            longest = min(longest, max(state.contact_age[gear], shortest))
+            longest = min(longest, max(SHARE_OF_AGE * state.contact_age[gear], shortest))
             opening = -here.penetration_rate[gear]
             if 2.0 * longest * opening > here.penetration[gear]:
                 longest = max(0.5 * here.penetration[gear] / opening, min(longest, shortest))
