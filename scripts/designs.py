@@ -177,6 +177,7 @@ def run_design(index: int, folder: Path) -> None:
     design = DESIGNS[index]
     for module, changes in ((step, design.step), (substeps, design.substeps)):
         for name, value in changes.items():
+            getattr(module, name)  # a name that it doesn't have would replace nothing
             setattr(module, name, value)
     expected = np.load(folder / "expected.npz")
     errors = {}
