@@ -156,7 +156,7 @@ class Design(NamedTuple):
     substeps: dict[str, Any]
 
 
-FINE: Final = {"WHOLE_STEP_STIFFNESS_LIMIT": 0.25, "SHARE_OF_AGE": 1.0}
+FINE: Final = {"SETTLED_STIFFNESS_LIMIT": 0.25, "SHARE_OF_AGE": 1.0}
 DESIGNS: Final = (
     Design("RK4 alone", {"add_mesh_impulse": no_impulse}, FINE),
     Design("surface impulse", {"add_mesh_impulse": surface_impulse}, FINE),
