@@ -111,9 +111,9 @@ def longest_substep(constants: KernelRecord, state: KernelRecord, here: KernelRe
     rate = max(here.damping[0] * constants.per_mass[0], here.damping[1] * constants.per_mass[1])
     step: float = longest_near_gap(constants, state, here, constants.step)
     age = min(state.contact_age[0], state.contact_age[1])
-    if age >= SETTLED_AGE * constants.step and not constants.kelvin:
-        if step * rate <= SETTLED_STIFFNESS_LIMIT:
-            return step
+    settled = age >= SETTLED_AGE * constants.step and not constants.kelvin
+    if settled and step * rate <= SETTLED_STIFFNESS_LIMIT:
+        return step
     substeps = 1.0
     while step * rate > STIFFNESS_LIMIT * substeps:
         substeps *= 2.0
