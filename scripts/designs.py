@@ -156,7 +156,7 @@ class Design(NamedTuple):
     substeps: dict[str, Any]
 
 
-FINE: Final = {"WHOLE_STEP_STIFFNESS_LIMIT": 0.25, "SHARE_OF_AGE": 1.0}
+FINE: Final = {"SETTLED_STIFFNESS_LIMIT": 0.25, "SHARE_OF_AGE": 1.0}
 DESIGNS: Final = (
     Design("RK4 alone", {"add_mesh_impulse": no_impulse}, FINE),
     Design("surface impulse", {"add_mesh_impulse": surface_impulse}, FINE),
@@ -177,6 +177,7 @@ def run_design(index: int, folder: Path) -> None:
     design = DESIGNS[index]
     for module, changes in ((step, design.step), (substeps, design.substeps)):
         for name, value in changes.items():
+            getattr(module, name)  # a name that it doesn't have would replace nothing
             setattr(module, name, value)
     expected = np.load(folder / "expected.npz")
     errors = {}

@@ -779,7 +779,11 @@ def test_an_end_that_is_not_stored_is_told(
 
 @pytest.mark.parametrize(
     "values",
-    [{"mesh.stiffness": 1e13}, {"gears.module": 1.0}, {"gears.driving.mass": 1e-9}],
+    [
+        {"mesh.stiffness": 1e13, "solver.sample_interval": 2e-5},
+        {"gears.module": 1.0},
+        {"gears.driving.mass": 1e-9},
+    ],
     ids=lambda values: "_".join(values),
 )
 def test_a_run_that_ended_with_a_state_that_is_not_finite_verifies(

@@ -309,7 +309,7 @@ def test_parameters_are_described_and_those_that_are_fixed_say_so(client: Client
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [
-        ("solver.step", 2e-6, "read-only"),
+        ("solver.step", 1e-6, "read-only"),
         ("pacing.real_time_factor", math.nan, "pacing.real_time_factor"),
         ("operation.speed", 5001, "beyond operation.speed_limit"),
         ("oil.viscosity", "thick", "expected 'Type.DOUBLE'"),

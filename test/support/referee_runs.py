@@ -76,6 +76,13 @@ RUNS: dict[str, dict[str, Any]] = {
     "traditional, published": {"model": "traditional", **PUBLISHED},
     "compared, published": {"model": "compared", **PUBLISHED},
     "improved, published": {"model": "improved", **PUBLISHED},
+    "compared, always damped": {"model": "compared", "mesh_damping": "always"},
+    "improved, always damped, nominal phase": {
+        "model": "improved",
+        "mesh_damping": "always",
+        "mesh_phase": "nominal",
+    },
+    "improved, published geometry": {"model": "improved", "mesh_geometry": "published"},
     "traditional, refined": {"model": "traditional"},
     "compared, refined": {"model": "compared"},
     "improved, refined": {"model": "improved"},

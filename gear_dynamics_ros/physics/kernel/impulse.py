@@ -206,7 +206,7 @@ def smooth_deflection(
     if constants.contact_damping:
         damped, damped_rate = w1 + rise.end, w1_rate + rise.end_rate
     else:
-        off_x, off_y = teeth.gradient_x - teeth.along_x, teeth.gradient_y - teeth.along_y
+        off_x, off_y = teeth.gradient_x - teeth.dte_gradient_x, teeth.gradient_y - teeth.dte_gradient_y
         damped = teeth.q + moved + off_x * (x[1] - x[0]) + off_y * (y[1] - y[0])
         damped_rate = teeth.q_rate + moved_rate + off_x * (vx[1] - vx[0]) + off_y * (vy[1] - vy[0])
     force = k1 * (w1 + rise.end) + constants.damping * damped_rate

@@ -45,6 +45,8 @@ class MeshForces(NamedTuple):
     surface_rate: float  # m/s
     gradient_x: float  # by how much g falls as gear 2 moves, dimensionless
     gradient_y: float
+    dte_gradient_x: float  # by how much q falls
+    dte_gradient_y: float
     excitation_power: float  # W, P_k + P_e + P_z of "Energy ledger"
     loss_rate: float  # W, D_m
 
@@ -92,11 +94,13 @@ def mesh_forces(
             along_x = -(sin_alpha * cos_beta + cos_alpha * sin_beta)
             along_y = cos_alpha * cos_beta - sin_alpha * sin_beta
         gradient_x, gradient_y = along_x, along_y
+        dte_gradient_x, dte_gradient_y = -cos_alpha * sin_beta, cos_alpha * cos_beta
     else:
         gamma_rate = (a_rate * per_a) * cot_alpha - beta_rate
         q = (motion.u - e) - shift_x * sin_gamma - shift_y * cos_gamma
         q_rate = (u_rate - e_rate) - shift_x_rate * sin_gamma - shift_y_rate * cos_gamma
         q_rate -= gamma_rate * (shift_x * cos_gamma - shift_y * sin_gamma)
+        dte_gradient_x, dte_gradient_y = along_x, along_y
         gradient_x = along_x + flank * sin_alpha * cos_beta
         gradient_y = along_y + flank * sin_alpha * sin_beta
 
@@ -127,6 +131,8 @@ def mesh_forces(
         surface_rate=z_rate,
         gradient_x=gradient_x,
         gradient_y=gradient_y,
+        dte_gradient_x=dte_gradient_x,
+        dte_gradient_y=dte_gradient_y,
         excitation_power=0.5 * k1_rate * deflection * deflection - force * (e_rate - 0.5 * side * z_rate),
         loss_rate=(force - elastic) * deflection_rate,
     )

@@ -27,10 +27,11 @@ IMPACTS_PER_STEP = 2 * (STOPS_PER_STEP + 1)
 GAP_FRACTION = 0.1
 # Of the age of a bearing contact: the longest substep.
 SHARE_OF_AGE = 0.25
-# The largest product of substep and damping rate of a bearing contact; RK4 itself bears 2.78. The damping of
-# a Hertz contact begins from zero: a whole step bears more.
+# The largest product of substep and damping rate of a bearing contact; RK4 itself bears 2.78. Hertz contacts
+# that began long ago move little: there a whole step bears more.
 STIFFNESS_LIMIT = 0.25
-WHOLE_STEP_STIFFNESS_LIMIT = 1.0
+SETTLED_STIFFNESS_LIMIT = 1.0
+SETTLED_AGE = 500.0  # steps
 SUBSTEPS_LIMIT = 4096.0
 SHORTEST_SUBSTEP = 1e-9  # of the step
 
@@ -109,7 +110,9 @@ def longest_substep(constants: KernelRecord, state: KernelRecord, here: KernelRe
     """
     rate = max(here.damping[0] * constants.per_mass[0], here.damping[1] * constants.per_mass[1])
     step: float = longest_near_gap(constants, state, here, constants.step)
-    if not constants.kelvin and step * rate <= WHOLE_STEP_STIFFNESS_LIMIT:
+    age = min(state.contact_age[0], state.contact_age[1])
+    settled = age >= SETTLED_AGE * constants.step and not constants.kelvin
+    if settled and step * rate <= SETTLED_STIFFNESS_LIMIT:
         return step
     substeps = 1.0
     while step * rate > STIFFNESS_LIMIT * substeps:
