@@ -28,7 +28,7 @@ def test_coarse_steps_are_told_where_they_matter(
         "solver.sample_interval:=1.0e-4",
         "surface.waves:=16",
         "operation.control:=torque",
-        "operation.speed:=100.0",
+        "operation.speed:=120.0",
         "pacing.real_time_factor:=0.0",
         f"recording.path:={tmp_path / 'bag'}",
         "recording.mode:=ring",
@@ -46,8 +46,8 @@ def test_coarse_steps_are_told_where_they_matter(
     assert messages["waveform"].startswith("the highest surface waves lie above half the sampling rate")
     waves = {entry.key: float(entry.value) for entry in found["waveform"].values}
     assert waves["half the sampling rate (Hz)"] == 5000.0
-    # 40 teeth, each wave 1.5 times as many as the one before; 100 rad/s
-    assert waves["highest surface wave (Hz)"] == pytest.approx(40 * 1.5**15 * 100.0 / 6.283185307, rel=1e-5)
+    # 40 teeth, each wave 1.5 times as many as the one before; 120 rad/s
+    assert waves["highest surface wave (Hz)"] == pytest.approx(40 * 1.5**15 * 120.0 / 6.283185307, rel=1e-5)
     assert messages["pacing"] == "as fast as possible"
     assert messages["recorder"] == "keeping the ring"
     assert messages["viewer"] == "showing"
