@@ -6,7 +6,6 @@ to do.
 
 from __future__ import annotations
 
-import difflib
 import math
 import operator
 from collections.abc import Iterable, Sequence
@@ -28,6 +27,7 @@ from gear_dynamics_ros.parameters.groups import (
     SolverParameters,
     SurfaceParameters,
 )
+from gear_dynamics_ros.parameters.hints import most_alike, shortened
 from gear_dynamics_ros.parameters.rcl_yaml import SMALLEST_NORMAL, resolve_scalar, scalar_text
 from gear_dynamics_ros.parameters.specification import Specification, Value, value_text
 
@@ -117,11 +117,13 @@ def _check_scalar(row: Specification, name: str, value: bool | int | float | str
 
 def _check_text(row: Specification, name: str, value: str) -> None:
     if row.choices and value not in row.choices:
-        close = difflib.get_close_matches(value, row.choices, n=1)
-        hint = f"did you mean {close[0]}? " if close else ""
-        raise UsageError(f"{name} = {value!r}: {hint}it must be {row.limits}")
+        close = most_alike(value, row.choices)
+        hint = f"did you mean {close}? " if close else ""
+        raise UsageError(f"{name} = {shortened(value)!r}: {hint}it must be {row.limits}")
     if not value.isprintable():
-        raise UsageError(f"{name} = {value!r} contains characters that can't be printed: remove them")
+        raise UsageError(
+            f"{name} = {shortened(value)!r} contains characters that can't be printed: remove them"
+        )
 
 
 def _is_out_of_bounds(row: Specification, value: float) -> bool:

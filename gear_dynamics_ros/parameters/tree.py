@@ -6,7 +6,6 @@ against each other. SI units throughout.
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
@@ -43,6 +42,7 @@ from gear_dynamics_ros.parameters.groups import (
     SteppingParameters,
     SurfaceParameters,
 )
+from gear_dynamics_ros.parameters.hints import most_alike, shortened
 from gear_dynamics_ros.parameters.specification import Specification, Value, parameter
 
 # Parameters of ROS itself, which any node can have.
@@ -202,7 +202,7 @@ def unknown_parameter(name: str) -> str:
     if inside:
         return f"{name} is a group, not a parameter: set one of its parameters, such as {inside[0]}"
     leaf = name.rsplit(".", 1)[-1]
-    close = difflib.get_close_matches(name, names, n=1)
+    close = [meant] if (meant := most_alike(name, names)) else []
     alike = [known for known in names if known.rsplit(".", 1)[-1] == leaf]
     hint = f"did you mean {(close or alike)[0]}?" if close or alike else "docs/parameters.md lists them all"
-    return f"there is no parameter {name}: {hint}"
+    return f"there is no parameter {shortened(name)}: {hint}"

@@ -601,3 +601,12 @@ def test_a_setting_that_can_t_be_is_refused_in_one_line(setting: str, words: lis
         load_parameters(ROOT / "config" / "gearbox.yaml", [setting])
     message = str(refused.value)
     assert "\n" not in message and all(word in message for word in words), message
+
+
+def test_a_text_of_any_length_is_refused_at_once() -> None:
+    """A comparison of texts as long as this one would not end within the time of the whole suite."""
+    endless = "a" * 10_000_000
+    for values in ({endless: 1.0}, {"model": endless}):
+        with pytest.raises(UsageError) as refused:
+            Parameters.from_flat(values)
+        assert len(str(refused.value)) < 500

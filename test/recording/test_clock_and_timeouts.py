@@ -114,6 +114,9 @@ class _Watcher:
         self._run = run
         self._changed = threading.Condition()
 
+    def wanted(self) -> tuple[str, ...]:
+        return ()
+
     def write(self, *_: object) -> None:
         with self._changed:
             self._changed.notify_all()

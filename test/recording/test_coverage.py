@@ -154,17 +154,18 @@ def test_files_that_changed_places_are_read_in_order_and_put_back(
     assert recording.open(tmp_path / "recovered").complete
 
 
-@pytest.mark.parametrize(("change", "behind"), [(join, "456"), (lambda folder: _append(folder), "5000")])
+@pytest.mark.parametrize("change", [join, lambda folder: _append(folder)])
 def test_bytes_behind_the_end_are_told(
     bag: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     change: Callable[[Path], object],
-    behind: str,
 ) -> None:
     copy = changed(bag, tmp_path, change)
+    behind = part(copy, 0).stat().st_size - part(bag, 0).stat().st_size
+    assert behind > 0
     (note,) = [line for line in recording.open(copy).coverage.notes if "behind its end" in line]
-    assert note.startswith(f"bag_0.mcap has {behind}") and note.endswith("which are not read")
+    assert note.startswith(f"bag_0.mcap has {behind} bytes") and note.endswith("which are not read")
     assert run("info", copy) == 0 and note in capsys.readouterr().out
     assert run("recover", copy) == 0
     shown = capsys.readouterr().out

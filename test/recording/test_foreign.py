@@ -66,7 +66,7 @@ def test_a_metadata_file_that_is_not_text_is_named_and_not_printed(
 
 
 def test_the_state_of_a_run_that_ended_non_finite_is_strict_json() -> None:
-    engine = Engine(Parameters.from_flat({"mesh.stiffness": 1e13}))
+    engine = Engine(Parameters.from_flat({"mesh.stiffness": 1e13, "solver.sample_interval": 2e-5}))
     while engine.status is Status.RUNNING and engine.sample < 100_000:
         engine.advance()
     assert engine.status is Status.NON_FINITE
