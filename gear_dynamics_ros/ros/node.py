@@ -57,6 +57,7 @@ class GearboxNode(LifecycleNode):
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._cleanups: list[Callable[[], Any]] = []  # destroy the entities of the configured node
         self._publishers_by_key: dict[str, Any] = {}
+        self._listeners = node_topics.Listeners()
         self._engine: Engine | None = None
         self._viewer: Viewer | None = None
         self._publisher: node_topics.PublisherSink | None = None
@@ -145,7 +146,8 @@ class GearboxNode(LifecycleNode):
         group = MutuallyExclusiveCallbackGroup()
         try:
             clock = self.parameters.clock_rate > 0.0
-            for key, publisher in node_topics.create_publishers(self, group, clock=clock):
+            self._listeners = node_topics.Listeners()
+            for key, publisher in node_topics.create_publishers(self, group, self._listeners, clock=clock):
                 self._publishers_by_key[key] = publisher
                 self._cleanups.append(partial(self.destroy_publisher, publisher))
             for subscription in node_topics.create_subscriptions(self, group, self._commands.receive):
@@ -172,7 +174,7 @@ class GearboxNode(LifecycleNode):
     def _begin_session(self) -> Session:
         if self._engine is None:
             raise GearboxError("the gearbox is not configured: configure it first")
-        self._publisher = node_topics.PublisherSink(self._publishers_by_key)
+        self._publisher = node_topics.PublisherSink(self._publishers_by_key, self._listeners)
         sinks: list[Any] = [self._publisher]
         if self._viewer is not None:
             sinks.append(ViewerSink(self._viewer))

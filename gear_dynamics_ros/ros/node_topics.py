@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
+from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -23,34 +24,42 @@ from gear_dynamics_ros.topics import CHUNK_TOPICS, COMMAND_TOPICS, TOPICS, NodeN
 Publishers = Mapping[str, Publisher]
 
 
-class PublisherSink:
-    """Publishes the messages of a run, except those without a publisher, such as received commands."""
+class Listeners:
+    """Which topics of CHUNK_TOPICS somebody listens to. The middleware tells it; any thread may ask."""
 
-    def __init__(self, publishers: Publishers) -> None:
+    def __init__(self) -> None:
+        self._counts: dict[str, int] = {}
+        # Who joins in a pause needs the last clock.
+        self.heard: frozenset[str] = frozenset(["clock"])
+
+    def note(self, topic: str, matched: QoSPublisherMatchedInfo) -> None:
+        """Take in how many subscriptions ``topic`` (in CHUNK_TOPICS) has. On one thread."""
+        self._counts[topic] = matched.current_count
+        self.heard = frozenset(["clock", *(key for key, count in self._counts.items() if count)])
+
+
+class PublisherSink:
+    """Publishes the messages of a run that somebody hears; without a subscription DDS would drop them.
+
+    Not those without a publisher, such as received commands.
+    """
+
+    def __init__(self, publishers: Publishers, listeners: Listeners) -> None:
         self._publishers = publishers
-        self._chunk_publishers = {key: publishers[key] for key in CHUNK_TOPICS if key in publishers}
-        self._heard: Collection[str] = ()
+        self._listeners = listeners
+        self._wanted: Collection[str] = ()
         self._last_clock: bytes | None = None
         self._clock_is_old = False
 
     def wanted(self) -> Collection[str]:
-        """Topics that somebody listens to; without a subscription DDS would drop a message.
-
-        And the clock, the last of which is for those who join in a pause.
-        """
-        self._heard = [
-            key
-            for key, publisher in self._chunk_publishers.items()
-            if key == "clock" or publisher.get_subscription_count()
-        ]
-        return self._heard
+        self._wanted = self._listeners.heard
+        return self._wanted
 
     def write(self, _: Chunk | None, records: Sequence[Record]) -> None:
         for record in records:
-            publisher = self._publishers.get(record.topic)
-            if publisher is not None and (
-                record.topic in self._heard or record.topic not in self._chunk_publishers
-            ):
+            topic = record.topic
+            publisher = self._publishers.get(topic)
+            if publisher is not None and (topic in self._wanted or topic not in CHUNK_TOPICS):
                 publisher.publish(record.data)
                 if record.topic == "clock":
                     self._last_clock, self._clock_is_old = record.data, False
@@ -68,10 +77,12 @@ class PublisherSink:
         """Do nothing: the node destroys its publishers."""
 
 
-def create_publishers(node: Node, group: CallbackGroup, *, clock: bool) -> Iterator[tuple[str, Publisher]]:
+def create_publishers(
+    node: Node, group: CallbackGroup, listeners: Listeners, *, clock: bool
+) -> Iterator[tuple[str, Publisher]]:
     """Publishers of all outputs with their keys in TOPICS; parameters may override quality of service.
 
-    ``/clock`` only if ``clock`` is true.
+    ``listeners`` learns of their subscriptions; ``/clock`` only if ``clock`` is true.
     """
     for key, topic in TOPICS.items():
         if key not in COMMAND_TOPICS and (clock or key != "clock"):
@@ -82,9 +93,16 @@ def create_publishers(node: Node, group: CallbackGroup, *, clock: bool) -> Itera
                     _expanded(node, topic),
                     quality(topic),
                     callback_group=group,
+                    event_callbacks=_events(key, listeners),
                     qos_overriding_options=QoSOverridingOptions.with_default_policies(),
                 ),
             )
+
+
+def _events(key: str, listeners: Listeners) -> PublisherEventCallbacks:
+    if key not in CHUNK_TOPICS:
+        return PublisherEventCallbacks()
+    return PublisherEventCallbacks(matched=partial(listeners.note, key))
 
 
 def create_subscriptions(
