@@ -54,7 +54,8 @@ def scaled_channel(name: str, scale: float = 1.0) -> Callable[[SampleRows], Samp
 def vector_magnitude(name: str) -> Callable[[SampleRows], SampleRows]:
     """What gives the magnitude of the vector with the components ``name``_x and ``name``_y."""
     x, y = COLUMN[f"{name}_x"], COLUMN[f"{name}_y"]
-    return lambda samples: np.hypot(samples[:, x], samples[:, y])
+    # np.hypot, which can't overflow, takes several times as long.
+    return lambda samples: np.sqrt(samples[:, x] * samples[:, x] + samples[:, y] * samples[:, y])
 
 
 def plotted_series() -> list[PlottedSeries]:

@@ -97,7 +97,9 @@ class Viewer:
                 return
             self._waiting.append(chunk)
             self._waiting_samples += len(chunk)
-            self._changed.notify()
+            # Woken up for each chunk, the thread would take the lock of Python from the engine as often.
+            if len(self._waiting) == 1 or self._waiting_samples >= self._batch:
+                self._changed.notify()
 
     def close(self) -> None:
         """Draw what is queued, flush, and end the thread; may be called again."""
