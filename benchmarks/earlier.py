@@ -14,7 +14,8 @@ from typing import Final, NamedTuple
 
 import latency
 import numpy as np
-from live_node import SOURCE, Arrival, Client, free_port, running
+from live_node import Arrival, Client, free_port, running
+from speed import SOURCE
 
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages.cdr import deserialize

@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import speed
-from live_node import SOURCE, Arrival, Client, Samples, running
+from live_node import Arrival, Client, Samples, running
 from numpy.typing import NDArray
 from std_msgs.msg import Float64
 
@@ -36,10 +36,10 @@ SHARES_AIMED_AT = {"off": 0.60, "on": 0.90}  # of one core, by whether there are
 BUSY_LOOPS = 2 * len(os.sched_getaffinity(0))
 SCHEDULINGS: Final[Sequence[Mapping[str, object]]] = (
     {},
-    {"processors": "'0'"},
-    {"priority": 50},
-    {"priority": 50, "processors": "'0'"},
-    {"priority": 50, "lock_memory": "true"},
+    {"pacing.processors": "'0'"},
+    {"pacing.priority": 50},
+    {"pacing.priority": 50, "pacing.processors": "'0'"},
+    {"pacing.priority": 50, "pacing.lock_memory": "true"},
 )
 _TIME, _OVERRUNS, _LATENESS = (
     [entry.name for entry in PACE].index(name) for name in ("time", "overruns", "worst_lateness")
@@ -140,17 +140,22 @@ def bare_loop(chunk: float, computing: float) -> NDArray[np.float64]:
     for _ in range(round(BARE / chunk)):
         edge += chunk
         time.sleep(max(0.0, edge - time.perf_counter()))
-        done = time.thread_time() + computing
-        while time.thread_time() < done:
-            pass
+        compute(computing)
         late.append(time.perf_counter() - edge - computing)
     return np.array(late)
+
+
+def compute(seconds: float) -> None:
+    """Take so much time of the processor."""
+    done = time.thread_time() + seconds
+    while time.thread_time() < done:
+        pass
 
 
 def responses(
     parameters: Parameters,
     count: int,
-    source: Path = SOURCE,
+    source: Path = speed.SOURCE,
     settings: Mapping[str, object] = MappingProxyType({}),
 ) -> Responses:
     """``count`` commands to the node of ``source``, one after another, each at any phase of the chunk.
@@ -247,12 +252,10 @@ def scheduling() -> list[str]:
     ]
     parameters = speed.parameters_of("gearbox")
     for settings in SCHEDULINGS:
-        name = ", ".join(f"`pacing.{key}: {value}`" for key, value in settings.items()) or "as shipped"
+        name = ", ".join(f"`{key}: {value}`" for key, value in settings.items()) or "as shipped"
         try:
             with busy_loops(BUSY_LOOPS):
-                found = responses(
-                    parameters, COMMANDS[LATENCY_CHUNK] // 2, settings=_named("pacing", settings)
-                )
+                found = responses(parameters, COMMANDS[LATENCY_CHUNK] // 2, settings=settings)
         except GearboxError as error:
             lines.append(f"| {name} | not measured: {error} | | | | |")
             continue
@@ -262,10 +265,6 @@ def scheduling() -> list[str]:
             f"| {1e3 * found.latest:.2f} |"
         )
     return lines
-
-
-def _named(group: str, settings: Mapping[str, object]) -> dict[str, object]:
-    return {f"{group}.{key}": value for key, value in settings.items()}
 
 
 @contextmanager

@@ -22,6 +22,7 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
+from speed import SOURCE
 
 from gear_dynamics_ros.channels import CHANNEL_NAMES
 from gear_dynamics_ros.errors import GearboxError
@@ -30,7 +31,6 @@ from gear_dynamics_ros.messages.encoder import waveform_message
 from gear_dynamics_ros.ros.node_topics import message_type, quality
 from gear_dynamics_ros.topics import ARRAY, TOPICS, full_topic_name
 
-SOURCE = Path(__file__).resolve().parent.parent
 PARAMETERS = SOURCE / "config" / "gearbox.yaml"
 # On Linux, domains above 101 share their UDP ports with the ephemeral range.
 DOMAINS = range(1, 102)

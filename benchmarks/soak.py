@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from latency import computing_time
+from latency import compute, computing_time
 from live_node import PARAMETERS, Client, NodeProcess, Samples, free_port, running
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -181,9 +181,7 @@ def bare_loop(chunk: float, computing: float) -> Bare:
         edge += chunk
         time.sleep(max(0.0, edge - time.monotonic()))
         latest = max(latest, time.monotonic() - edge)
-        done = time.thread_time() + computing
-        while time.thread_time() < done:
-            pass
+        compute(computing)
         late = time.monotonic() - edge - chunk
         if late > 0.0:
             overruns += 1

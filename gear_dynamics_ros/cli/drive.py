@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gear_dynamics_ros.cli.progress import ProgressLine
-from gear_dynamics_ros.cli.ros import add_gearbox, full_name, needing_ros, split_ros_arguments
+from gear_dynamics_ros.cli.ros import add_gearbox, add_lockstep, full_name, needing_ros, split_ros_arguments
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.harness.junit import JunitReport
 from gear_dynamics_ros.harness.player import Player
@@ -44,13 +44,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("profile", type=Path, metavar="PROFILE", help="YAML file, see config/profiles")
     add_gearbox(parser)
-    parser.add_argument(
-        "--lockstep",
-        dest="play",
-        action="store_const",
-        const=_play_in_lockstep,
-        default=_play_at_own_pace,
-        help="exact to the sample, the same bits on every machine: pause the gearbox, step it from command "
+    add_lockstep(
+        parser,
+        _play_at_own_pace,
+        _play_in_lockstep,
+        "exact to the sample, the same bits on every machine: pause the gearbox, step it from command "
         "to command, and let it run on at the end if it ran before",
     )
     parser.add_argument("--junit", type=Path, metavar="FILE", help="write the results to FILE as JUnit XML")

@@ -10,7 +10,7 @@ from typing import Any
 
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.cli.progress import Progress
-from gear_dynamics_ros.cli.ros import add_gearbox, full_name, needing_ros
+from gear_dynamics_ros.cli.ros import add_gearbox, add_lockstep, full_name, needing_ros
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.harness.player import Player
 from gear_dynamics_ros.harness.profile import step_profile
@@ -37,13 +37,11 @@ def add_publish(verbs: Any) -> None:
     parser.set_defaults(command=_publish)
     parser.add_argument("bag", metavar="BAG", help="recording: a folder or a single .mcap file")
     add_gearbox(parser)
-    parser.add_argument(
-        "--lockstep",
-        dest="play",
-        action="store_const",
-        const=_play_in_lockstep,
-        default=_play_at_own_pace,
-        help="exact to the sample: pause the gearbox, step it from command to command, play recorded resets "
+    add_lockstep(
+        parser,
+        _play_at_own_pace,
+        _play_in_lockstep,
+        "exact to the sample: pause the gearbox, step it from command to command, play recorded resets "
         "and parameter changes too, and let it run on at the end if it ran before",
     )
     parser.add_argument(
@@ -129,7 +127,8 @@ def _play_in_lockstep(bag: recording.Recording, arguments: argparse.Namespace) -
             f"{outcome.published} commands published, {outcome.time_ns / 1e9:.9g} s simulated; time 0 of the "
             f"recording is sample {outcome.origin} of the gearbox"
         )
-        print(f"{node} {'runs again' if outcome.left_running else 'stays paused'}, as before")
+    if outcome.state:
+        print(f"{node} {outcome.state}, as before")
     return _exit_code(outcome.failure, outcome.signal)
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 from gear_dynamics_ros.errors import GearboxError
 
@@ -27,6 +28,23 @@ def add_gearbox(parser: argparse.ArgumentParser) -> None:
         default=10.0,
         metavar="S",
         help="wall seconds without a waveform or an answer after which to give up (default: %(default)g)",
+    )
+
+
+def add_lockstep(
+    parser: argparse.ArgumentParser,
+    at_own_pace: Callable[..., Any],
+    in_lockstep: Callable[..., Any],
+    help_text: str,
+) -> None:
+    """Add the option --lockstep; ``play`` of the arguments is then one of the two functions."""
+    parser.add_argument(
+        "--lockstep",
+        dest="play",
+        action="store_const",
+        const=in_lockstep,
+        default=at_own_pace,
+        help=help_text,
     )
 
 

@@ -12,6 +12,7 @@ from gear_dynamics_ros.script import (
     ResetAction,
     ScriptAction,
     ScriptStep,
+    agree,
     require_chunk_edges,
 )
 
@@ -32,7 +33,8 @@ def profile_script(profile: Profile, chunk_ns: int) -> LockstepScript:
     steps = [ScriptStep(0, _actions(profile), _commands(profile, 0))]
     for time_ns in range(chunk_ns, duration_ns, chunk_ns):
         commands = _commands(profile, time_ns)
-        if not _same(commands, steps[-1].commands):
+        last = steps[-1].commands
+        if not (agree(commands, last) and agree(last, commands)):
             steps.append(ScriptStep(time_ns, (), commands))
     return LockstepScript("the profile", duration_ns, tuple(steps))
 
@@ -45,11 +47,3 @@ def _actions(profile: Profile) -> tuple[ScriptAction, ...]:
 def _commands(profile: Profile, time_ns: int) -> Commands:
     values = {name: track.value(time_ns / 1e9) for name, track in profile.commands.items()}
     return _UNSET._replace(**{name: value for name, value in values.items() if value is not None})
-
-
-def _same(commands: Commands, others: Commands) -> bool:
-    """Whether both are equal, or NaN alike."""
-    return all(
-        value == other or (math.isnan(value) and math.isnan(other))
-        for value, other in zip(commands, others, strict=True)
-    )

@@ -414,9 +414,10 @@ class PacingParameters:
             first, _, last = entry.partition("-")
             if not (first.isdecimal() and (last.isdecimal() or entry == first)):
                 raise ValueError(entry)
-            if int(last or first) >= MOST_PROCESSORS:
+            lowest, highest = int(first), int(last or first)
+            if not lowest <= highest < MOST_PROCESSORS:
                 raise ValueError(entry)
-            numbers |= set(range(int(first), int(last or first) + 1))
+            numbers.update(range(lowest, highest + 1))
         return frozenset(numbers)
 
 

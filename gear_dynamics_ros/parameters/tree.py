@@ -202,7 +202,7 @@ def unknown_parameter(name: str) -> str:
     if inside:
         return f"{name} is a group, not a parameter: set one of its parameters, such as {inside[0]}"
     leaf = name.rsplit(".", 1)[-1]
-    close = [meant] if (meant := most_alike(name, names)) else []
-    alike = [known for known in names if known.rsplit(".", 1)[-1] == leaf]
-    hint = f"did you mean {(close or alike)[0]}?" if close or alike else "docs/parameters.md lists them all"
+    alike = (known for known in names if known.rsplit(".", 1)[-1] == leaf)
+    meant = most_alike(name, names) or next(alike, "")
+    hint = f"did you mean {meant}?" if meant else "docs/parameters.md lists them all"
     return f"there is no parameter {shortened(name)}: {hint}"

@@ -18,7 +18,7 @@ from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import GearboxError, UsageError, one_line
 from gear_dynamics_ros.events import CHANGE, PAUSE
 from gear_dynamics_ros.messages.cdr import stamp_ns
-from gear_dynamics_ros.messages.decoder import applied_commands
+from gear_dynamics_ros.messages.decoder import AppliedCommands, applied_commands
 from gear_dynamics_ros.parameters import specifications
 from gear_dynamics_ros.ros.gearbox_client import GearboxClient, not_seen, ros_context
 from gear_dynamics_ros.script import (
@@ -45,7 +45,7 @@ class ScriptOutcome(NamedTuple):
     origin: int  # sample of the gearbox at time 0 of the script; -1 if that was not reached
     time_ns: int  # simulated since then
     published: int  # commands
-    left_running: bool  # whether the gearbox runs, as before the play; otherwise it is paused
+    state: str  # of the gearbox, as before the play: "runs again" or "stays paused"; empty if not changed
     failure: str  # why it was not played to its end; empty if it was
     signal: int  # number of the signal that interrupted it, 0 if none did
 
@@ -90,11 +90,6 @@ def play_and_leave(client: LockstepClient, node: str, wait: float) -> str:
     return "; ".join(failures)
 
 
-class _InForce(NamedTuple):
-    stamp_ns: int  # of the first sample with these commands
-    commands: Commands
-
-
 class LockstepClient(GearboxClient):
     """Plays one script to a gearbox that it pauses and steps, all on the caller's thread.
 
@@ -115,9 +110,9 @@ class LockstepClient(GearboxClient):
         self._services = (self._pause, self._step, self._reset, self._parameters)
         self._script: LockstepScript | None = None
         self._events: list[Mapping[str, Any]] = []
-        self._in_force: _InForce | None = None
+        self._in_force: AppliedCommands | None = None
         self._expected: dict[int, Commands] = {}  # by stamp
-        self._unexpected: _InForce | None = None
+        self._unexpected: AppliedCommands | None = None
         self._stepping: dict[str, Any] = {}  # as set here
         self._found_running = False
         self._origin = -1
@@ -169,6 +164,13 @@ class LockstepClient(GearboxClient):
         if self._found_running:
             self._succeed(self._pause, SetBool.Request(data=False), "to continue")
         self._set({name: self._known.parameters[name] for name in (STEP_CHUNKS, STEP_TIMEOUT)})
+
+    @property
+    def _left_state(self) -> str:
+        """How the gearbox is left, as it was before the play; empty if it was not paused here."""
+        if self._origin < 0:
+            return ""
+        return "runs again" if self._found_running else "stays paused"
 
     def _failure(self, failure: str) -> str:
         """``failure``, or that other commands were in force; empty if all went well."""
@@ -271,8 +273,8 @@ class LockstepClient(GearboxClient):
                 f"{step.commands}; {_DOUBT}"
             )
 
-    def _other_commands(self, found: _InForce) -> str:
-        seconds = (found.stamp_ns - self._origin_ns) / 1e9
+    def _other_commands(self, found: AppliedCommands) -> str:
+        seconds = (found.time_ns - self._origin_ns) / 1e9
         return (
             f"{self._name} has commands in force from {seconds:.9g} s of {self._source} on that are not "
             f"those of that moment: {found.commands}; {_DOUBT}"
@@ -301,10 +303,10 @@ class LockstepClient(GearboxClient):
         self._events.append(json.loads(message.data))
 
     def _take_applied(self, message: Any) -> None:
-        self._in_force = applied = _InForce(stamp_ns(message.header.stamp), applied_commands(message))
-        if self._origin < 0 or applied.stamp_ns < self._origin_ns:
+        self._in_force = applied = AppliedCommands(stamp_ns(message.header.stamp), applied_commands(message))
+        if self._origin < 0 or applied.time_ns < self._origin_ns:
             return
-        wanted = self._expected.get(applied.stamp_ns)
+        wanted = self._expected.get(applied.time_ns)
         if wanted is None or not agree(wanted, applied.commands):
             self._unexpected = self._unexpected or applied
 
@@ -347,7 +349,7 @@ class _ScriptClient(LockstepClient):
             self._origin,
             self._time_ns,
             self._published,
-            self._found_running,
+            self._left_state,
             failure,
             self._signal(failure),
         )

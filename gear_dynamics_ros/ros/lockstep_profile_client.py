@@ -69,8 +69,9 @@ class _LockstepProfileClient(LockstepClient):
         player, elapsed = self._player, self._ended - self._began
         factor = self._arrived_ns / 1e9 / elapsed if elapsed > 0.0 else 0.0
         results = unreached(self._profile.expectations) if player is None else player.results()
-        state = "" if self._origin < 0 else "runs again" if self._found_running else "stays paused"
-        return ProfileOutcome(results, self._published, [], factor, state, failure, self._signal(failure))
+        return ProfileOutcome(
+            results, self._published, [], factor, self._left_state, failure, self._signal(failure)
+        )
 
     def _connect(self) -> None:
         # Before the events: the gearbox that has sent an event of the pause knows this subscription too.

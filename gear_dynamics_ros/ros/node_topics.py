@@ -47,21 +47,20 @@ class PublisherSink:
     def __init__(self, publishers: Publishers, listeners: Listeners) -> None:
         self._publishers = publishers
         self._listeners = listeners
-        self._wanted: Collection[str] = ()
         self._last_clock: bytes | None = None
         self._clock_is_old = False
 
     def wanted(self) -> Collection[str]:
-        self._wanted = self._listeners.heard
-        return self._wanted
+        return self._listeners.heard
 
     def write(self, _: Chunk | None, records: Sequence[Record]) -> None:
+        heard = self._listeners.heard
         for record in records:
             topic = record.topic
             publisher = self._publishers.get(topic)
-            if publisher is not None and (topic in self._wanted or topic not in CHUNK_TOPICS):
+            if publisher is not None and (topic in heard or topic not in CHUNK_TOPICS):
                 publisher.publish(record.data)
-                if record.topic == "clock":
+                if topic == "clock":
                     self._last_clock, self._clock_is_old = record.data, False
 
     def repeat_clock(self) -> None:

@@ -116,7 +116,7 @@ def test_processors_are_a_list_of_ranges(text: str, numbers: set[int]) -> None:
     Parameters.from_flat({"pacing.processors": text})
 
 
-@pytest.mark.parametrize("text", ["two", "1-", "-1", "3-2", "1.5", ",", "0-1000000000000"])
+@pytest.mark.parametrize("text", ["two", "1-", "-1", "3-2", "0,3-2", "1.5", ",", "0-1000000000000"])
 def test_what_is_no_list_of_processors_is_refused(text: str) -> None:
     with pytest.raises(UsageError, match="is not a list of processors: write numbers and ranges"):
         Parameters.from_flat({"pacing.processors": text})
