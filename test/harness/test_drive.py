@@ -362,6 +362,7 @@ def test_commands_that_a_slow_machine_left_out_are_told_instead_of_the_expectati
     until(lambda: time.monotonic() > stopped_at + 1.5, "the gearbox has gone on")
     run.signal(signal.SIGCONT)
     assert run.wait() == 1, run.output
+    assert run.stderr.count("\n") == 2, run.output
     unjudged, error = run.stderr.splitlines()
     assert unjudged.startswith("drive: impossible: largest of load_torque in 0.1 to 2 s can't be judged: ")
     assert error.startswith("drive: error: the machine was too slow: simulated time ran at 0.")
