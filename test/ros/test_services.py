@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -31,7 +32,13 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.ros.deferred_answers import SPACING, AnswerSender, Spacing, require_send_response
+from gear_dynamics_ros.ros.deferred_answers import (
+    SPACING,
+    AnswerSender,
+    Spacing,
+    is_sent,
+    require_send_response,
+)
 from gear_dynamics_ros.ros.gearbox_client import require_take_message
 from support.gearbox import PATIENCE, start_gearbox
 from support.processes import Process, StartProcess, until
@@ -190,12 +197,35 @@ def test_an_answer_that_fails_holds_up_no_other() -> None:
     sender.put(time.monotonic(), lambda: [][0])
     until(lambda: errors, "the error in the log")
     assert "IndexError" in errors[0]
-    sender.put(time.monotonic() + 3600.0, sent.set)
+
+    def sending(event: threading.Event) -> Callable[[], bool]:
+        return lambda: is_sent(event.set)
+
+    sender.put(time.monotonic() + 3600.0, sending(sent))
     first = threading.Event()
-    sender.put(time.monotonic(), first.set)
+    sender.put(time.monotonic(), sending(first))
     assert first.wait(60.0) and not sent.is_set()
     sender.close()
     assert sent.is_set(), "what waits when the sender is closed is sent"
+
+
+def test_an_answer_is_offered_again_until_the_middleware_knows_its_client() -> None:
+    unknown_client = "failed to send response (timeout): client will not receive response"
+    attempts: list[float] = []
+    known = threading.Event()
+
+    def send() -> None:  # as rclpy does
+        attempts.append(time.monotonic())
+        if len(attempts) < 3:
+            warnings.warn(unknown_client, RuntimeWarning, stacklevel=1)
+        else:
+            known.set()
+
+    sender = AnswerSender(SimpleNamespace())
+    sender.put(time.monotonic(), lambda: is_sent(send))
+    assert known.wait(60.0)
+    sender.close()
+    assert len(attempts) == 3
 
 
 def test_only_answers_of_one_service_to_simultaneous_calls_are_spaced(
