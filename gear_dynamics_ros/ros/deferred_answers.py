@@ -100,7 +100,7 @@ class AnswerSender:
     def _offer_again(self, answer: _Answer) -> None:
         now = time.monotonic()
         if self._closing or now > answer.abandoned:
-            self._log.warning("an answer was not sent: the middleware did not find the client that waits for it")
+            self._log.warning("an answer was not sent: the middleware did not find the client that asked")
             return
         answer.due = now + DISCOVERY_INTERVAL
         self._wait(answer)
@@ -303,7 +303,7 @@ def _guard(node: Node, sender: AnswerSender, service: Service) -> None:
             return answer(request, response)
         except Exception as error:
             log: Any = node.get_logger()
-            log.warning(f"{service.srv_name}: refused: {one_line(error) or repr(error)}")
+            log.warning(f"{service.service_name}: refused: {one_line(error) or repr(error)}")
             return kind.Response()  # type: ignore[attr-defined]
 
     service.callback = callback

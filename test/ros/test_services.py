@@ -6,14 +6,15 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import rclpy
-from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState, GetState
+from lifecycle_msgs.msg import Transition, TransitionEvent
+from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import (
     DescribeParameters,
@@ -72,6 +73,18 @@ class Caller:
         (answer,) = self.answers([client.call_async(request or kind.Request())])
         self._node.destroy_client(client)
         return answer
+
+    @contextmanager
+    def messages(self, kind: Any, name: str) -> Iterator[list[Any]]:
+        """The messages that come on a topic of the gearbox, once it knows this subscriber."""
+        received: list[Any] = []
+        subscription = self._node.create_subscription(kind, f"/gearbox/{name}", received.append, 100)
+        self.until(lambda: self._node.count_publishers(f"/gearbox/{name}") > 0)
+        yield received
+        self._node.destroy_subscription(subscription)
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        until(lambda: self._executor.spin_once(timeout_sec=0.05) or condition(), "the condition")
 
     def close(self) -> None:
         self._node.destroy_node()
@@ -188,6 +201,45 @@ def test_a_burst_of_questions_about_parameters_is_answered(gearbox: Process, cal
     for name, (kind, request) in ask.items():
         client = caller.client(kind, name, depth=100)
         caller.answers([client.call_async(request) for _ in range(60)])
+
+
+def test_a_burst_of_calls_to_the_life_cycle_is_answered(gearbox: Process, caller: Caller) -> None:
+    for name, kind in {
+        "change_state": ChangeState,
+        "get_state": GetState,
+        "get_available_states": GetAvailableStates,
+        "get_available_transitions": GetAvailableTransitions,
+        "get_transition_graph": GetAvailableTransitions,
+    }.items():
+        client = caller.client(kind, name, depth=100)
+        caller.answers([client.call_async(kind.Request()) for _ in range(60)])
+
+
+def test_the_life_cycle_tells_its_transitions(gearbox: Process, caller: Caller) -> None:
+    with caller.messages(TransitionEvent, "transition_event") as events:
+        by_label = ChangeState.Request(transition=Transition(label="deactivate"))
+        assert caller.call(ChangeState, "change_state", by_label).success
+        by_id = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVATE))
+        assert caller.call(ChangeState, "change_state", by_id).success
+        caller.until(lambda: len(events) == 4)
+    assert [
+        (event.start_state.label, event.transition.label, event.goal_state.label) for event in events
+    ] == [
+        ("active", "deactivate", "deactivating"),
+        ("deactivating", "transition_success", "inactive"),
+        ("inactive", "activate", "activating"),
+        ("activating", "transition_success", "active"),
+    ]
+    offered = caller.call(GetAvailableTransitions, "get_available_transitions").available_transitions
+    assert {(item.transition.id, item.transition.label) for item in offered} == {
+        (Transition.TRANSITION_DEACTIVATE, "deactivate"),
+        (Transition.TRANSITION_ACTIVE_SHUTDOWN, "shutdown"),
+    }
+    unknown = ChangeState.Request(transition=Transition(label="accelerate"))
+    assert not caller.call(ChangeState, "change_state", unknown).success
+    gearbox.wait_for(
+        "transition 'accelerate' is not possible in the state active; possible: 4 (deactivate), 7"
+    )
 
 
 def test_an_answer_that_fails_holds_up_no_other() -> None:
