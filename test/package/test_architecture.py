@@ -28,6 +28,7 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
     "realtime": {"contract", "system", "parameters", "messages", "simulation", "recording"},
     "replay": {"contract", "system", "parameters", "messages", "simulation", "recording", "analysis"},
     "reporting": {"contract", "system", "recording", "analysis"},
+    "sweeps": {"contract", "parameters", "physics", "simulation", "analysis"},
     "harness": {"contract", "system", "parameters"},
     "ros": {
         "contract",
