@@ -34,6 +34,11 @@ def analyze() -> int:
     return _run_main("analyze")
 
 
+def sweep() -> int:
+    """Run ``sweep``."""
+    return _run_main("sweep")
+
+
 def _run_main(name: str) -> int:
     open_streams()
     try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics.constants import aligned_zeros, excitation_table, kernel_constants
 from gear_dynamics_ros.physics.kernel import entry, periods
-from gear_dynamics_ros.physics.kernel.records import CALL, POINT
+from gear_dynamics_ros.physics.kernel.records import CALL, HERE, POINT
 from gear_dynamics_ros.physics.kernel.substeps import IMPACTS_PER_STEP
 from gear_dynamics_ros.simulation.start_state import end_reason, start_state
 
@@ -87,6 +87,25 @@ class Orbit:
         twin.state[:] = self.state
         twin.status, twin._first_sample = self.status, self._first_sample
         return twin
+
+    def displace(self, dte: float | None, dte_rate: float | None) -> None:
+        """Set the dynamic transmission error in m and its rate in m/s, where given, by turning both gears.
+
+        The flank in contact follows from the gap.
+        """
+        here = self._evaluated()
+        if dte is not None:
+            self.state["u"] += dte - float(here["q"])
+            half = float(here["half_backlash"])
+            self.state["flank"] = 1.0 if dte > half else -1.0 if dte < -half else 0.0
+            here = self._evaluated()
+        if dte_rate is not None:
+            change = dte_rate - float(here["q_rate"])
+            self.state["omega"] += 0.5 * change / self._constants["base_radius"][0] * np.array([1.0, -1.0])
+
+    def _evaluated(self) -> Any:
+        entry.evaluate_state(self._constants, self.state, self._points, *self._excitations)
+        return self._points[HERE]
 
     def retarget(self, parameters: Parameters) -> None:
         """Continue under ``parameters``; the vibration is carried over, the shafts turn at the new speed."""
