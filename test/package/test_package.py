@@ -25,7 +25,7 @@ from support.paths import ROOT
 from support.processes import executable
 
 PACKAGE = "gear_dynamics_ros"
-EXECUTABLES = ("analyze", "drive", "gearbox", "replay", "simulate")
+EXECUTABLES = ("analyze", "drive", "gearbox", "identify", "replay", "simulate")
 SHARED = (
     "package.xml",
     "config/fastdds_local.xml",
