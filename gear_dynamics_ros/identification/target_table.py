@@ -27,7 +27,7 @@ _TABLE_KEYS: Final = ("targets", "conditions", "transient", "keep", "windows")
 _TARGET_KEYS: Final = ("quantity", "value", "scale", "conditions", "label")
 
 
-class Target(NamedTuple):
+class TargetValue(NamedTuple):
     """One number that the fit should meet."""
 
     label: str
@@ -48,7 +48,7 @@ class Watch(NamedTuple):
 class TargetTable(NamedTuple):
     """Content of a table."""
 
-    targets: tuple[Target, ...]
+    targets: tuple[TargetValue, ...]
     watch: Watch
 
 
@@ -147,7 +147,7 @@ class TargetObjective:
         return header, [[row[name] for name in header] for row in rows]
 
 
-def _require_measured(target: Target, measured: Mapping[str, Any]) -> None:
+def _require_measured(target: TargetValue, measured: Mapping[str, Any]) -> None:
     if target.quantity not in measured:
         meant = most_alike(target.quantity, measured)
         hint = f"did you mean {meant}?" if meant else f"there are {', '.join(sorted(measured))}"
@@ -175,7 +175,7 @@ def _table(tree: object) -> TargetTable:
     return TargetTable(targets, watch)
 
 
-def _target(tree: object, where: str, shared: Mapping[str, Any]) -> Target:
+def _target(tree: object, where: str, shared: Mapping[str, Any]) -> TargetValue:
     entry = _mapping(tree, where, _TARGET_KEYS)
     quantity = entry.get("quantity")
     if not isinstance(quantity, str) or not quantity:
@@ -186,7 +186,7 @@ def _target(tree: object, where: str, shared: Mapping[str, Any]) -> Target:
     value, scale = _number(entry, "value", where), _number(entry, "scale", where)
     if scale <= 0.0:
         raise UsageError(f"{where}.scale is {exact_text(scale)}, must be > 0: the deviation that counts as 1")
-    return Target(label, quantity, value, scale, {**shared, **_conditions(entry, where)})
+    return TargetValue(label, quantity, value, scale, {**shared, **_conditions(entry, where)})
 
 
 def _conditions(tree: Mapping[str, Any], where: str) -> Mapping[str, Any]:

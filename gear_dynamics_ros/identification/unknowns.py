@@ -3,38 +3,21 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Sequence
-from fnmatch import fnmatchcase
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.parameters import Parameters, Specification, specifications, updated
+from gear_dynamics_ros.parameters import Parameters, Specification
 from gear_dynamics_ros.parameters.decimals import exact_text
+from gear_dynamics_ros.parameters.entries import Entry, entries_named, with_entries
 from gear_dynamics_ros.parameters.hints import shortened
 from gear_dynamics_ros.parameters.tree import specification_of
 
 # From this ratio of its bounds on, an unknown is varied by its logarithm.
 LOGARITHMIC_RATIO: Final = 10.0
-_ENTRY: Final = re.compile(r"(?P<name>[^\[\]]+)(\[(?P<index>\d+)\])?")
-
-
-class Entry(NamedTuple):
-    """A parameter, or one number of a parameter that is a list."""
-
-    name: str  # dotted
-    place: int | None  # in the list, from 0
-
-    def __str__(self) -> str:
-        return self.name if self.place is None else f"{self.name}[{self.place}]"
-
-    def of(self, parameters: Parameters) -> float:
-        """Its value."""
-        value: Any = parameters.to_flat()[self.name]
-        return float(value if self.place is None else value[self.place])
 
 
 class Unknown(NamedTuple):
@@ -76,24 +59,25 @@ class Unknown(NamedTuple):
 
     def start(self, parameters: Parameters) -> float:
         """Coordinate of the value in ``parameters``, or 0.5 if that is out of bounds."""
-        value = self.entries[0].of(parameters)
+        value = float(self.entries[0].value(parameters))
         return self.coordinate(value) if self.low <= value <= self.high else 0.5
 
 
 def read_unknowns(options: Iterable[str], parameters: Parameters) -> tuple[Unknown, ...]:
     """The unknowns of options ``NAME=LOW:HIGH``.
 
-    NAME may have ``*`` for any one part of a dotted name, and several names with commas between them; an
-    index in brackets names one number of a list. Raises UsageError on an unknown name, one that is no real
-    number or is named twice, and on bounds that are reversed or not allowed for the parameter.
+    NAME is what ``entries_named`` reads, or several of these with commas between them, which are tied. Raises
+    UsageError on an unknown name, one that is no real number or is named twice, and on bounds that are
+    reversed or not allowed for the parameter.
     """
-    unknowns = tuple(_read_unknown(option, parameters) for option in options)
+    unknowns = tuple(_read_unknown(option) for option in options)
     if not unknowns:
         raise UsageError("nothing to fit: give at least one --vary NAME=LOW:HIGH")
     seen: set[Entry] = set()
     for entry in (entry for unknown in unknowns for entry in unknown.entries):
         if entry in seen:
             raise UsageError(f"{entry} is varied twice: name it in one --vary")
+        entry.value(parameters)
         seen.add(entry)
     return unknowns
 
@@ -105,21 +89,13 @@ def trial_parameters(
 
     Raises UsageError if the values don't fit each other.
     """
-    flat = base.to_flat()
-    changed: dict[str, Any] = {}
+    values: dict[Entry, Any] = {}
     for unknown, coordinate in zip(unknowns, coordinates, strict=True):
-        value = unknown.value(float(coordinate))
-        for name, place in unknown.entries:
-            if place is None:
-                changed[name] = value
-            else:
-                entries = list(changed.get(name, flat[name]))
-                entries[place] = value
-                changed[name] = entries
-    return updated(base, changed)
+        values |= dict.fromkeys(unknown.entries, unknown.value(float(coordinate)))
+    return with_entries(base, values)
 
 
-def _read_unknown(option: str, parameters: Parameters) -> Unknown:
+def _read_unknown(option: str) -> Unknown:
     label, separator, bounds = option.partition("=")
     low_text, colon, high_text = bounds.partition(":")
     if not (separator and label and colon):
@@ -130,9 +106,11 @@ def _read_unknown(option: str, parameters: Parameters) -> Unknown:
             f"--vary {label}: the lower bound {exact_text(low)} must be less than the upper bound "
             f"{exact_text(high)}: swap or change them"
         )
-    entries = tuple(entry for name in label.split(",") for entry in _entries(name.strip(), parameters))
+    entries = tuple(entry for name in label.split(",") for entry in entries_named(name.strip()))
     rows = [specification_of(entry.name) for entry in entries]
     for row in rows:
+        if row.element is not float:
+            raise UsageError(f"--vary {row.name}: only real numbers can be fitted: fix it with --set")
         _require_allowed(row, low)
         _require_allowed(row, high)
     units = {row.unit for row in rows}
@@ -150,67 +128,14 @@ def _number(label: str, text: str) -> float:
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        raise UsageError(
-            f"--vary {label}: the bound {shortened(text)!r} is not a finite number: write LOW:HIGH"
-        )
+        raise UsageError(f"--vary {label}: the bound {shortened(text)!r} is not a finite number")
     return number
 
 
-def _entries(pattern: str, parameters: Parameters) -> list[Entry]:
-    found = _ENTRY.fullmatch(pattern)
-    if found is None:
-        raise UsageError(
-            f"--vary {shortened(pattern)!r} is not the name of a parameter: write it as group.name"
-        )
-    names = _matching(found["name"])
-    index = None if found["index"] is None else int(found["index"])
-    return [_checked_entry(name, index, parameters) for name in names]
-
-
-def _matching(pattern: str) -> list[str]:
-    """Names that match; a ``*`` stands for a whole part between dots, or for some of its letters."""
-    if "*" not in pattern:
-        return [specification_of(pattern).name]
-    parts = pattern.split(".")
-    names = [
-        name
-        for name in specifications()
-        if len(name.split(".")) == len(parts) and all(map(fnmatchcase, name.split("."), parts))
-    ]
-    if not names:
-        raise UsageError(
-            f"--vary {shortened(pattern)}: no parameter has such a name: docs/parameters.md lists them"
-        )
-    return names
-
-
-def _checked_entry(name: str, index: int | None, parameters: Parameters) -> Entry:
-    row = specification_of(name)
-    if row.element is not float:
-        raise UsageError(
-            f"--vary {name}: it is not a real number, which alone can be fitted: fix it with --set"
-        )
-    value = parameters.to_flat()[name]
-    if isinstance(value, tuple):
-        if index is None:
-            raise UsageError(f"--vary {name}: it is a list: name one of its numbers, such as {name}[0]")
-        if index >= len(value):
-            raise UsageError(
-                f"--vary {name}[{index}]: the list has {len(value)} numbers, counted from 0: "
-                f"add some with --set {name}=[...]"
-            )
-    elif index is not None:
-        raise UsageError(f"--vary {name}[{index}]: it is not a list: leave [{index}] out")
-    return Entry(name, index)
-
-
 def _require_allowed(row: Specification, bound: float) -> None:
-    below = row.minimum is not None and (
-        bound < row.minimum or (row.exclusive_minimum and bound == row.minimum)
-    )
-    above = row.maximum is not None and (
-        bound > row.maximum or (row.exclusive_maximum and bound == row.maximum)
-    )
+    low, high = row.minimum, row.maximum
+    below = low is not None and (bound < low or (row.exclusive_minimum and bound == low))
+    above = high is not None and (bound > high or (row.exclusive_maximum and bound == high))
     if below or above:
         unit = f" {row.unit}" if row.unit else ""
         raise UsageError(f"--vary {row.name}: the bound {exact_text(bound)}{unit} must be {row.limits}")
