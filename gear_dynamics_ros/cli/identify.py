@@ -10,12 +10,12 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from gear_dynamics_ros.cli.options import add_settings
 from gear_dynamics_ros.cli.progress import ProgressLine, stderr_lines
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.identification.journal import require_unused
+from gear_dynamics_ros.identification.journal import FitJournal, require_unused
 from gear_dynamics_ros.identification.unknowns import read_unknowns
 from gear_dynamics_ros.parameters import Parameters, load_parameters, read_settings, updated
 from gear_dynamics_ros.system.command import SIGNALLED, run_command
@@ -25,6 +25,10 @@ from gear_dynamics_ros.system.share import share_file
 if TYPE_CHECKING:
     from gear_dynamics_ros.identification.objective import Problem
     from gear_dynamics_ros.identification.search import Standing
+
+
+# What the recorded run wrote, a run with the fitted parameters must not write over.
+NO_OUTPUTS: Final = {"recording.path": "", "checkpoint.path": "", "rerun.mode": "none", "rerun.path": ""}
 
 
 def identify_main(argv: Sequence[str] | None = None) -> int:
@@ -99,12 +103,13 @@ def _identify(arguments: argparse.Namespace) -> int:
         require_unused(arguments.output)
     problem, data = _from_recording(arguments) if arguments.recording else _from_targets(arguments)
     # Imported here: loading the kernel takes time, which help and refused options need not wait for.
-    from gear_dynamics_ros.identification.fit import open_journal, run_fit
+    from gear_dynamics_ros.identification.fit import request_of, run_fit
     from gear_dynamics_ros.identification.report import fit_text, write_fit
     from gear_dynamics_ros.identification.search import SearchSettings
 
     settings = SearchSettings(arguments.generations, arguments.population, arguments.seed)
-    journal = open_journal(arguments.output, problem, settings, arguments.resume)
+    begin = FitJournal.reopen if arguments.resume else FitJournal.create
+    journal = begin(arguments.output, request_of(problem, settings))
     workers = arguments.workers or len(os.sched_getaffinity(0))
     with noted_signals() as received, ProgressLine() as line:
 
@@ -162,8 +167,10 @@ def _from_recording(arguments: argparse.Namespace) -> tuple[Problem, str]:
         MotionObjective,
         parameters_as_recorded,
         read_motion,
+        require_not_recorded,
     )
 
+    require_not_recorded(unknowns)
     _warm_up(parameters)
     motion = read_motion(bag, arguments.channels.split(","), arguments.start, arguments.end)
     warn_of_faults("identify", bag)
@@ -183,18 +190,18 @@ def _from_targets(arguments: argparse.Namespace) -> tuple[Problem, str]:
     from gear_dynamics_ros.identification.target_table import TargetObjective, read_targets
 
     table = read_targets(arguments.targets)
-    from gear_dynamics_ros.identification.motion_quantities import measure_of
+    from gear_dynamics_ros.identification.motion_quantities import QUANTITIES, measure_of
     from gear_dynamics_ros.identification.objective import Problem
 
     _warm_up(parameters)
-    objective = TargetObjective(table, measure_of(table.watch))
+    objective = TargetObjective(table, measure_of(table.watch), QUANTITIES)
     objective.require_fitting(parameters, unknowns)
     return Problem(parameters, unknowns, objective), f"table {arguments.targets}"
 
 
 def _parameters(arguments: argparse.Namespace, recorded: Parameters | None) -> Parameters:
     if arguments.params_file is None and recorded is not None:
-        return updated(recorded, read_settings(arguments.set))
+        return updated(recorded, {**NO_OUTPUTS, **read_settings(arguments.set)})
     return load_parameters(arguments.params_file or share_file("config/gearbox.yaml"), arguments.set)
 
 

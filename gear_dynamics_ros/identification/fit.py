@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -86,15 +85,6 @@ def run_fit(
         evaluated=trials.evaluated,
         failures=trials.failures,
     )
-
-
-def open_journal(folder: Path, problem: Problem, settings: SearchSettings, resume: bool) -> FitJournal:
-    """The journal of a new fit in ``folder``, or with ``resume`` that of the fit there.
-
-    Raises UsageError if the folder exists, or holds another fit or none.
-    """
-    request = request_of(problem, settings)
-    return FitJournal.reopen(folder, request) if resume else FitJournal.create(folder, request)
 
 
 def _require_enough(problem: Problem) -> None:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.identification.target_table import Measure, Watch
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.simulation.orbit import Orbit
-from gear_dynamics_ros.sweeps.point import DONE, Measurement, measure_orbit
+from gear_dynamics_ros.sweeps.point import DONE, SCALARS, Measurement, measure_orbit
+
+QUANTITIES: Final = tuple(SCALARS)
 
 
 def measure_of(watch: Watch) -> Measure:

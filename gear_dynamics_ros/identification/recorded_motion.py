@@ -14,6 +14,7 @@ from gear_dynamics_ros.channels import CHANNELS, COLUMN, ENERGIES
 from gear_dynamics_ros.chunk import Commands, Samples, Status
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.events import CHANGE, RESET, RESTORE
+from gear_dynamics_ros.identification.unknowns import Unknown
 from gear_dynamics_ros.parameters import ParameterChange, Parameters, updated
 from gear_dynamics_ros.parameters.decimals import exact_text
 from gear_dynamics_ros.recording import Recording
@@ -43,7 +44,7 @@ class RecordedMotion(NamedTuple):
     """Samples of a window, and all that acted on the run from its start to the end of the window."""
 
     start: Checkpoint  # stored at or before the window
-    from_rest: bool  # whether the run started there, in the state that operation.initial describes
+    fresh: bool  # whether the run begins there, in the state that operation.initial describes
     commands: tuple[tuple[int, Commands], ...]  # from the sample on, after those of the start
     measured: Samples  # the fitted channels
 
@@ -65,10 +66,10 @@ def read_motion(
     interval = recording.parameters.solver.sample_interval
     _, columns = recording.columns(channels)
     values = recording.waveform(first, end_sample)[:, columns]
-    fresh = Engine(checkpoint.parameters).checkpoint()
+    beginning = Engine(checkpoint.parameters).checkpoint()
     return RecordedMotion(
         start=checkpoint,
-        from_rest=dict(fresh.state) == dict(checkpoint.state),
+        fresh=dict(beginning.state) == dict(checkpoint.state),
         commands=tuple(entry for entry in recording.commands if checkpoint.sample <= entry[0] < end_sample),
         measured=Samples(first, interval, tuple(channels), values),
     )
@@ -81,6 +82,13 @@ def parameters_as_recorded(parameters: Parameters, motion: RecordedMotion) -> Pa
     """
     recorded = motion.start.parameters.to_flat()
     return updated(parameters, {name: recorded[name] for name in (*_STARTED_BY, *_SAMPLED_BY)})
+
+
+def require_not_recorded(unknowns: Sequence[Unknown]) -> None:
+    """Raise UsageError if an unknown is what the recording gives."""
+    for entry in (entry for unknown in unknowns for entry in unknown.entries):
+        if entry.name in (*_STARTED_BY, *_SAMPLED_BY):
+            raise UsageError(f"--vary {entry}: the recording gives it: vary other parameters")
 
 
 class MotionObjective:
@@ -140,6 +148,7 @@ class MotionObjective:
                 "unit": _UNITS[name],
                 "channel_rms": float(scale),
                 "residual_rms": float(np.sqrt(np.mean(rows[:, column] ** 2))),
+                "neighbour_correlation": _neighbour_correlation(rows[:, column]),
                 "residual_greatest": float(np.abs(rows[:, column]).max()),
                 "time_of_greatest": float(measured.time[np.abs(rows[:, column]).argmax()]),
             }
@@ -176,7 +185,7 @@ class MotionObjective:
 
     def _engine(self, parameters: Parameters) -> Engine:
         """An engine with ``parameters`` in the recorded start."""
-        if self._motion.from_rest:
+        if self._motion.fresh:
             engine = Engine(parameters)
             engine.sample = self._start.sample
         else:
@@ -186,6 +195,12 @@ class MotionObjective:
             engine.change(ParameterChange(engine.parameters, parameters, {}))
         engine.command(self._start.commands)
         return engine
+
+
+def _neighbour_correlation(column: NDArray[np.float64]) -> float:
+    """Correlation of each residual with the next one: near 0 for noise, near 1 where the model is wrong."""
+    power = float(column @ column)
+    return float(column[1:] @ column[:-1]) / power if power > 0.0 else 0.0
 
 
 def _require_channels(recording: Recording, channels: Sequence[str]) -> None:

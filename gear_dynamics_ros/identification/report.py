@@ -23,6 +23,7 @@ RESULT_FILE: Final = "result.json"
 RESIDUALS_FILE: Final = "residuals.csv"
 PAGE_FILE: Final = "report.txt"
 CLOSELY_CORRELATED: Final = 0.95
+NOISE_CORRELATION: Final = 0.3  # of neighbouring residuals, beyond which they are no noise
 
 
 def write_fit(fit: Fit, folder: Path, data: str) -> list[Path]:
@@ -168,6 +169,11 @@ def _fit_lines(fit: Fit) -> list[str]:
             f"{name}: rms of the residuals {entry['residual_rms']:.4g} {entry['unit']}, "
             f"of the channel {entry['channel_rms']:.4g} {entry['unit']}"
         )
+        if abs(entry["neighbour_correlation"]) > NOISE_CORRELATION:
+            lines.append(
+                f"  neighbouring residuals correlate by {entry['neighbour_correlation']:+.2f}: they are no "
+                "noise, the model misses something, and the true errors are larger than those above"
+            )
     for entry in summary.get("targets", ()):
         lines.append(
             f"{entry['label']}: wanted {entry['value']:.6g}, fitted {entry['fitted']:.6g}, "

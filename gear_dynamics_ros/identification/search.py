@@ -69,8 +69,8 @@ def _evolve(
     """Differential evolution; without generations, the start alone."""
     from scipy.optimize import differential_evolution
 
-    trials.costs(start[None, :])
     if not settings.generations:
+        trials.costs(start[None, :])
         return
     done = 0
     gathered = False

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeAlias
 
@@ -19,7 +19,7 @@ from gear_dynamics_ros.parameters.rcl_yaml import parse_yaml
 from gear_dynamics_ros.parameters.tree import specification_of
 
 # Quantities of a motion by name, SI units; raises GearboxError where the run ends early.
-Measure: TypeAlias = Callable[[Parameters], Mapping[str, Any]]
+Measure: TypeAlias = Callable[[Parameters], Mapping[str, float]]
 
 # Quantities of a chaotic motion scatter: a smaller step would show the scatter and not the trend.
 DIFFERENCE: Final = 5e-3
@@ -74,7 +74,14 @@ class TargetObjective:
 
     difference = DIFFERENCE
 
-    def __init__(self, table: TargetTable, measure: Measure) -> None:
+    def __init__(self, table: TargetTable, measure: Measure, quantities: Collection[str]) -> None:
+        """``quantities`` are the names that ``measure`` gives. Raises UsageError on a target of none."""
+        for target in table.targets:
+            if target.quantity not in quantities:
+                meant = most_alike(target.quantity, quantities)
+                hint = f"did you mean {meant}?" if meant else f"there are {', '.join(quantities)}"
+                name = shortened(target.quantity)
+                raise UsageError(f"{target.label}: there is no quantity {name}: {hint}")
         self._table = table
         self._measure = measure
         # Each motion is computed once, whatever the number of its targets.
@@ -93,15 +100,15 @@ class TargetObjective:
         return len(self._table.targets)
 
     def require_fitting(self, base: Parameters, unknowns: Sequence[Unknown]) -> None:
-        """Raise UsageError if a condition is varied or invalid, or a quantity unknown or no number."""
+        """Raise UsageError if a condition is varied, or not valid with ``base``."""
         varied = {entry.name for unknown in unknowns for entry in unknown.entries}
         for target in self._table.targets:
             for name in varied & target.conditions.keys():
                 raise UsageError(f"{target.label}: its condition {name} is varied: remove it or the --vary")
-        for conditions, numbers in self._motions:
-            measured = self._measure(updated(base, conditions))
-            for number in numbers:
-                _require_measured(self._table.targets[number], measured)
+            try:
+                updated(base, target.conditions)
+            except UsageError as error:
+                raise UsageError(f"{target.label}: {error}") from None
 
     def residuals(self, parameters: Parameters) -> NDArray[np.float64]:
         """Residuals in the order of the table, shape (count,). Raises GearboxError if a run ends early."""
@@ -145,18 +152,6 @@ class TargetObjective:
         header = ["label", "quantity", "value", "fitted", "scale", "residual"]
         rows = self.summary(residuals)["targets"]
         return header, [[row[name] for name in header] for row in rows]
-
-
-def _require_measured(target: TargetValue, measured: Mapping[str, Any]) -> None:
-    if target.quantity not in measured:
-        meant = most_alike(target.quantity, measured)
-        hint = f"did you mean {meant}?" if meant else f"there are {', '.join(sorted(measured))}"
-        raise UsageError(f"{target.label}: there is no quantity {shortened(target.quantity)}: {hint}")
-    value = measured[target.quantity]
-    if isinstance(value, str | bool) or not isinstance(value, int | float | np.number):
-        raise UsageError(
-            f"{target.label}: {target.quantity} is {value!r:.60}, not a number: take another quantity"
-        )
 
 
 def _table(tree: object) -> TargetTable:
