@@ -24,6 +24,10 @@ class Objective(Protocol):
         """Number of residuals."""
 
     @property
+    def stages(self) -> Sequence[int]:
+        """How many of the first residuals each stage of a search regards; rising, the last is ``count``."""
+
+    @property
     def difference(self) -> float:
         """Half the step of numerical derivatives, in coordinates of the unknowns."""
 
@@ -46,10 +50,10 @@ class Outcome(NamedTuple):
     residuals: NDArray[np.float64]
     failure: str  # why it could not be computed; empty if it could
 
-    @property
-    def cost(self) -> float:
-        """Half the sum of squares, as in scipy.optimize.least_squares."""
-        return 0.5 * float(self.residuals @ self.residuals)
+    def cost(self, regarded: int) -> float:
+        """Half the sum of squares of the first ``regarded`` residuals, as in scipy's least_squares."""
+        first = self.residuals[:regarded]
+        return 0.5 * float(first @ first)
 
 
 class Problem(NamedTuple):

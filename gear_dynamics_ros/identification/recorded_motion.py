@@ -29,6 +29,7 @@ SKIPPED_SAMPLES: Final = 20_000  # computed at once before the window
 NOT_FITTED: Final = ("time", "meshing_state", "driving_angle", "mesh_phase")
 # A trajectory is smooth in the parameters on a small scale only, and computed with 15 digits.
 DIFFERENCE: Final = 1e-6
+STAGES: Final = (0.25, 0.5, 0.75, 1.0)  # parts of the window
 _UNITS: Final = {channel.name: channel.unit for channel in (*CHANNELS, *ENERGIES)}
 _NOT_REPEATED: Final = {RESET: "a reset", RESTORE: "a restored checkpoint", CHANGE: "a change of parameters"}
 _STARTED_BY: Final = (
@@ -119,6 +120,12 @@ class MotionObjective:
     def count(self) -> int:
         """Number of samples times channels."""
         return int(self._motion.measured.values.size)
+
+    @property
+    def stages(self) -> tuple[int, ...]:
+        """The first part of the window, then more of it: the longer it is, the more valleys has the cost."""
+        samples, channels = self._motion.measured.values.shape
+        return tuple(math.ceil(samples * part) * channels for part in STAGES)
 
     def residuals(self, parameters: Parameters) -> NDArray[np.float64]:
         """Residuals sample by sample, shape (count,). Raises GearboxError if the run ends in the window."""

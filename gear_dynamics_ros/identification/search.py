@@ -1,7 +1,12 @@
-"""Looks for the least cost: first everywhere within the bounds, then downhill from the best point."""
+"""Looks for the least cost: first everywhere within the bounds, then downhill from the best points.
+
+An objective may have stages, which regard more and more of its residuals. The search regards those of the
+first stage, and so do the first descents; the best of them goes on through the others.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
@@ -16,6 +21,14 @@ from gear_dynamics_ros.identification.trials import Trials
 GATHERED: Final = 0.01
 TOLERANCE: Final = 1e-10  # of least_squares: relative change of the cost and of the coordinates
 MOST_STEPS: Final = 60
+# Residuals of impacts have many small valleys: downhill from this many points, this far apart in coordinates.
+DESCENTS: Final = 4
+APART: Final = 0.02
+# Of the derivatives at the optimum: steps in coordinates, the smallest as a part of those of the search.
+LARGEST_STEP: Final = 0.05
+SMALLEST_STEP: Final = 0.1
+STEP_TOLERANCE: Final = 0.3
+STEP_ROUNDS: Final = 6
 
 
 class SearchSettings(NamedTuple):
@@ -42,8 +55,16 @@ class Optimum(NamedTuple):
 
     coordinates: NDArray[np.float64]  # (n,)
     outcome: Outcome
-    jacobian: NDArray[np.float64]  # (m, n), of the residuals by the coordinates
+    jacobian: NDArray[np.float64]  # (m, n), of the residuals by the coordinates, over a standard error
     ending: str  # why the last stage ended
+
+
+class _Valley(NamedTuple):
+    """Where a descent ended."""
+
+    coordinates: NDArray[np.float64]  # (n,)
+    outcome: Outcome
+    ending: str
 
 
 def find_optimum(
@@ -54,23 +75,34 @@ def find_optimum(
     Raises FitStopped, and GearboxError if no trial could be computed.
     """
     start = np.array([unknown.start(problem.base) for unknown in problem.unknowns])
-    _evolve(start, settings, trials, progress)
+    first, *later = problem.objective.stages
+    _evolve(start, settings, trials, first, progress)
     if trials.best is None:
         reasons = "; ".join(failures.example for failures in trials.failures.values())
         raise GearboxError(
             f"none of the {trials.evaluated} trials could be computed: {reasons}: change the bounds"
         )
-    return _Descent(problem, trials, progress).run(trials.best.coordinates)
+    descent = _Descent(problem, trials, progress)
+    valleys = [descent.run(point, first) for point in trials.best_apart(DESCENTS, APART)]
+    valley = min(valleys, key=lambda valley: valley.outcome.cost(first))
+    for regarded in later:
+        valley = descent.run(valley.coordinates, regarded)
+    jacobian = descent.jacobian_over_errors(valley)
+    return Optimum(valley.coordinates, valley.outcome, jacobian, valley.ending)
 
 
 def _evolve(
-    start: NDArray[np.float64], settings: SearchSettings, trials: Trials, progress: Callable[[Standing], None]
+    start: NDArray[np.float64],
+    settings: SearchSettings,
+    trials: Trials,
+    regarded: int,
+    progress: Callable[[Standing], None],
 ) -> None:
     """Differential evolution; without generations, the start alone."""
     from scipy.optimize import differential_evolution
 
     if not settings.generations:
-        trials.costs(start[None, :])
+        trials.costs(start[None, :], regarded)
         return
     done = 0
     gathered = False
@@ -78,7 +110,7 @@ def _evolve(
     def costs(points: NDArray[np.float64]) -> NDArray[np.float64]:
         nonlocal done, gathered
         points = np.ascontiguousarray(points.T)
-        found = trials.costs(points)
+        found = trials.costs(points, regarded)
         gathered = bool((points.std(axis=0) < GATHERED).all())
         done += 1
         progress(_standing("search", done, settings.generations + 1, trials))
@@ -108,15 +140,17 @@ class _Descent:
         self._progress = progress
         self._known: dict[bytes, Outcome] = {}
         self._steps = 0
+        self._most_steps = MOST_STEPS * (DESCENTS + len(problem.objective.stages) - 1)
 
-    def run(self, start: NDArray[np.float64]) -> Optimum:
+    def run(self, start: NDArray[np.float64], regarded: int) -> _Valley:
+        """Valley below ``start``, of the first ``regarded`` residuals."""
         from scipy.optimize import least_squares
 
         # Coordinates all have the same range, so they need no other scale.
         result: Any = least_squares(
-            lambda point: self._outcome(point).residuals,
+            lambda point: self._outcome(point, regarded).residuals[:regarded],
             start,
-            jac=self._jacobian,
+            jac=lambda point: self._jacobian(point, regarded),
             bounds=(0.0, 1.0),
             method="trf",
             x_scale=1.0,
@@ -126,35 +160,67 @@ class _Descent:
             max_nfev=MOST_STEPS,
         )
         point = np.asarray(result.x)
-        return Optimum(point, self._outcome(point), np.asarray(result.jac), str(result.message))
+        return _Valley(point, self._outcome(point, regarded), str(result.message))
 
-    def _outcome(self, point: NDArray[np.float64]) -> Outcome:
+    def _outcome(self, point: NDArray[np.float64], regarded: int) -> Outcome:
         key = point.tobytes()
         if key not in self._known:
-            (self._known[key],) = self._trials.outcomes(point[None, :])
+            (self._known[key],) = self._trials.outcomes(point[None, :], regarded)
             self._steps += 1
-            self._progress(_standing("refinement", self._steps, MOST_STEPS, self._trials))
+            self._progress(_standing("refinement", self._steps, self._most_steps, self._trials))
         return self._known[key]
 
-    def _jacobian(self, point: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Differences to both sides, or to one where the other is out of bounds or can't be computed."""
-        step = self._objective.difference
+    def jacobian_over_errors(self, valley: _Valley) -> NDArray[np.float64]:
+        """Jacobian over steps of a standard error, along the directions whose errors are independent.
+
+        Where an impact begins to appear, residuals change like a square root: a derivative along the axes of
+        the unknowns would take that for a slope.
+        """
+        point, residuals = valley.coordinates, valley.outcome.residuals
+        noise = math.sqrt(residual_variance(residuals, len(point)))
+        smallest = SMALLEST_STEP * self._objective.difference
+        jacobian = self._jacobian(point, len(residuals))
+        for _ in range(STEP_ROUNDS):
+            _, singular, directions = np.linalg.svd(jacobian, full_matrices=True)
+            singular = np.concatenate([singular, np.zeros(len(point) - len(singular))])
+            with np.errstate(divide="ignore"):
+                steps = np.clip(noise / singular, smallest, LARGEST_STEP)
+            before, jacobian = jacobian, self._differences(point, len(residuals), directions * steps[:, None])
+            changes = np.linalg.norm((jacobian - before) @ directions.T, axis=0) * steps
+            if (changes < STEP_TOLERANCE * noise).all():
+                break
+        return jacobian
+
+    def _jacobian(self, point: NDArray[np.float64], regarded: int) -> NDArray[np.float64]:
+        return self._differences(point, regarded, self._objective.difference * np.eye(len(point)))
+
+    def _differences(
+        self, point: NDArray[np.float64], regarded: int, steps: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Jacobian (regarded, n) from differences between both ends of each of ``steps`` (n, n), rows.
+
+        An end that is out of bounds is moved to them; one that can't be computed is replaced by ``point``.
+        """
+        ends = np.concatenate([np.clip(point - steps, 0.0, 1.0), np.clip(point + steps, 0.0, 1.0)])
+        outcomes = self._trials.outcomes(ends, regarded)
+        here = self._outcome(point, regarded)
+        failed = [bool(outcome.failure) for outcome in outcomes]
+        ends[failed] = point
+        values = [here if outcome.failure else outcome for outcome in outcomes]
+        rows = np.stack([outcome.residuals[:regarded] for outcome in values])
         n = len(point)
-        lower, upper = np.maximum(point - step, 0.0), np.minimum(point + step, 1.0)
-        points = np.repeat(point[None, :], 2 * n, axis=0)
-        points[range(n), range(n)] = lower
-        points[range(n, 2 * n), range(n)] = upper
-        outcomes = self._trials.outcomes(points)
-        here = self._outcome(point)
-        columns = []
-        for k in range(n):
-            (low, below), (high, above) = (
-                (place, outcome) if not outcome.failure else (point[k], here)
-                for place, outcome in ((lower[k], outcomes[k]), (upper[k], outcomes[n + k]))
-            )
-            change = above.residuals - below.residuals
-            columns.append(change / (high - low) if high > low else np.zeros_like(change))
-        return np.stack(columns, axis=1)
+        # Of the columns that no end reached, the pseudoinverse makes zeros.
+        inverse = np.linalg.pinv(ends[n:] - ends[:n], rcond=1e-9)
+        return np.asarray((inverse @ (rows[n:] - rows[:n])).T, dtype=np.float64)
+
+
+def residual_variance(residuals: NDArray[np.float64], fitted: int) -> float:
+    """Variance of the noise in residuals after ``fitted`` values were fitted; 1 if there are no more of them.
+
+    Without more data than unknowns, the scales of the data have to count as standard deviations.
+    """
+    degrees = len(residuals) - fitted
+    return float(residuals @ residuals) / degrees if degrees > 0 else 1.0
 
 
 def _standing(stage: str, done: int, most: int, trials: Trials) -> Standing:

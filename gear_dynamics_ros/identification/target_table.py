@@ -99,6 +99,11 @@ class TargetObjective:
         """Number of targets."""
         return len(self._table.targets)
 
+    @property
+    def stages(self) -> tuple[int, ...]:
+        """One: all targets count at once."""
+        return (self.count,)
+
     def require_fitting(self, base: Parameters, unknowns: Sequence[Unknown]) -> None:
         """Raise UsageError if a condition is varied, or not valid with ``base``."""
         varied = {entry.name for unknown in unknowns for entry in unknown.entries}

@@ -27,11 +27,12 @@ class Failures(NamedTuple):
     example: str  # the first reason
 
 
-class BestTrial(NamedTuple):
-    """The best point so far."""
+class ComputedTrial(NamedTuple):
+    """A trial that could be computed."""
 
     coordinates: NDArray[np.float64]
     cost: float
+    regarded: int  # residuals in the cost
 
 
 class Trials:
@@ -47,7 +48,7 @@ class Trials:
         self._pool = ThreadPoolExecutor(workers, thread_name_prefix="identify")
         self.evaluated = 0
         self.failures: dict[str, Failures] = {}  # by kind of reason
-        self.best: BestTrial | None = None
+        self._computed: list[ComputedTrial] = []
 
     def __enter__(self) -> Self:
         return self
@@ -60,21 +61,45 @@ class Trials:
         """Number of trials that could not be computed."""
         return sum(failures.number for failures in self.failures.values())
 
-    def costs(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Cost of each of ``points`` (k, n), shape (k,). Raises FitStopped."""
+    @property
+    def best(self) -> ComputedTrial | None:
+        """The best trial of the latest stage, the first of several; None if none could be computed."""
+        return min(self._computed, key=lambda trial: (-trial.regarded, trial.cost), default=None)
+
+    def best_apart(self, most: int, distance: float) -> list[NDArray[np.float64]]:
+        """Points of the best trials, at most ``most``, each farther than ``distance`` from the better ones.
+
+        The distance is that of the coordinate in which two points differ most.
+        """
+        chosen: list[NDArray[np.float64]] = []
+        for trial in sorted(self._computed, key=lambda trial: trial.cost):
+            if len(chosen) == most:
+                break
+            if all(np.abs(trial.coordinates - other).max() > distance for other in chosen):
+                chosen.append(trial.coordinates)
+        return chosen
+
+    def costs(self, points: NDArray[np.float64], regarded: int) -> NDArray[np.float64]:
+        """Cost of each of ``points`` (k, n) by its first ``regarded`` residuals, shape (k,).
+
+        Raises FitStopped.
+        """
         if self._journal.replaying:
             batch = self._journal.recall(points)
             costs, reasons = np.asarray(batch["costs"], dtype=np.float64), batch["failures"].tolist()
         else:
             outcomes = self._compute(points)
-            costs = np.array([outcome.cost for outcome in outcomes])
+            costs = np.array([outcome.cost(regarded) for outcome in outcomes])
             reasons = [outcome.failure for outcome in outcomes]
             self._journal.append({"points": points, "costs": costs, "failures": np.array(reasons)})
-        self._count(points, costs, reasons)
+        self._count(points, costs, reasons, regarded)
         return costs
 
-    def outcomes(self, points: NDArray[np.float64]) -> list[Outcome]:
-        """Outcome of each of ``points`` (k, n). Raises FitStopped."""
+    def outcomes(self, points: NDArray[np.float64], regarded: int) -> list[Outcome]:
+        """Outcome of each of ``points`` (k, n), for a stage that regards that many residuals.
+
+        Raises FitStopped.
+        """
         if self._journal.replaying:
             batch = self._journal.recall(points)
             pairs = zip(batch["residuals"], batch["failures"].tolist(), strict=True)
@@ -84,7 +109,8 @@ class Trials:
             residuals = np.stack([outcome.residuals for outcome in found])
             failures = np.array([outcome.failure for outcome in found])
             self._journal.append({"points": points, "residuals": residuals, "failures": failures})
-        self._count(points, [outcome.cost for outcome in found], [outcome.failure for outcome in found])
+        costs = [outcome.cost(regarded) for outcome in found]
+        self._count(points, costs, [outcome.failure for outcome in found], regarded)
         return found
 
     def _compute(self, points: NDArray[np.float64]) -> list[Outcome]:
@@ -104,12 +130,18 @@ class Trials:
             except NotYet:
                 pass
 
-    def _count(self, points: NDArray[np.float64], costs: Iterable[float], failures: Iterable[str]) -> None:
+    def _count(
+        self,
+        points: NDArray[np.float64],
+        costs: Iterable[float],
+        failures: Iterable[str],
+        regarded: int,
+    ) -> None:
         for point, cost, failure in zip(points, costs, failures, strict=True):
             self.evaluated += 1
             if failure:
                 kind = failure.split(":")[0].split(" = ")[0]  # without values, which differ
                 known = self.failures.get(kind, Failures(0, failure))
                 self.failures[kind] = known._replace(number=known.number + 1)
-            elif self.best is None or cost < self.best.cost:
-                self.best = BestTrial(point.copy(), float(cost))
+            else:
+                self._computed.append(ComputedTrial(point.copy(), float(cost), regarded))

@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gear_dynamics_ros.identification.search import Optimum
+from gear_dynamics_ros.identification.search import Optimum, residual_variance
 from gear_dynamics_ros.identification.unknowns import Unknown
 
 # A direction along which the residuals change less than this, against the best determined one, is flat: such
@@ -61,7 +61,7 @@ def uncertainty_of(unknowns: Sequence[Unknown], optimum: Optimum) -> Uncertainty
     at_bound = _at_bound(optimum)
     free = [k for k in range(n) if not at_bound[k]]
     degrees = len(optimum.outcome.residuals) - len(free)
-    variance = 2.0 * optimum.outcome.cost / degrees if degrees > 0 else 1.0
+    variance = residual_variance(optimum.outcome.residuals, len(free))
     covariance = np.full((n, n), math.nan)
     directions: tuple[Direction, ...] = ()
     if free:

@@ -36,6 +36,7 @@ class Formula:
         self.model = model
         self.measured = model(TRUTH) + noise * np.random.default_rng(5).normal(size=len(POSITIONS))
         self.count = len(POSITIONS)
+        self.stages = (self.count,)
 
     def residuals(self, parameters: Parameters) -> NDArray[np.float64]:
         return self.measured - self.model(parameters)
