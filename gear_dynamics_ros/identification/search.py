@@ -1,7 +1,8 @@
 """Looks for the least cost: first everywhere within the bounds, then downhill from the best points.
 
 An objective may have stages, which regard more and more of its residuals. The search regards those of the
-first stage, and so do the first descents; the best of them goes on through the others.
+first stage, and so do the first descents. Each later stage descends from the best point of the one before and
+from the best of a cloud around it, as wide as its errors.
 """
 
 from __future__ import annotations
@@ -19,11 +20,13 @@ from gear_dynamics_ros.identification.trials import Trials
 
 # The search everywhere ends when its trials lie this close together, in coordinates of the unknowns.
 GATHERED: Final = 0.01
-TOLERANCE: Final = 1e-10  # of least_squares: relative change of the cost and of the coordinates
-MOST_STEPS: Final = 60
+TOLERANCE: Final = 1e-8  # of least_squares: relative change of the cost and of the coordinates
+MOST_STEPS: Final = 30
 # Residuals of impacts have many small valleys: downhill from this many points, this far apart in coordinates.
 DESCENTS: Final = 4
 APART: Final = 0.02
+CLOUD: Final = 10  # points for each unknown that a later stage tries
+LATER_DESCENTS: Final = 3
 # Of the derivatives at the optimum: steps in coordinates, the smallest as a part of those of the search.
 LARGEST_STEP: Final = 0.05
 SMALLEST_STEP: Final = 0.1
@@ -59,6 +62,13 @@ class Optimum(NamedTuple):
     ending: str  # why the last stage ended
 
 
+class _LocalErrors(NamedTuple):
+    """What the residuals say about the coordinates of a point."""
+
+    jacobian: NDArray[np.float64]  # (m, n)
+    steps: NDArray[np.float64]  # (n, n), rows: standard errors along directions that are independent
+
+
 class _Valley(NamedTuple):
     """Where a descent ended."""
 
@@ -84,11 +94,25 @@ def find_optimum(
         )
     descent = _Descent(problem, trials, progress)
     valleys = [descent.run(point, first) for point in trials.best_apart(DESCENTS, APART)]
-    valley = min(valleys, key=lambda valley: valley.outcome.cost(first))
+    valley, before = min(valleys, key=lambda valley: valley.outcome.cost(first)), first
+    chance = np.random.default_rng(settings.seed)
     for regarded in later:
-        valley = descent.run(valley.coordinates, regarded)
-    jacobian = descent.jacobian_over_errors(valley)
+        cloud = _cloud(valley.coordinates, descent.errors_at(valley, before), chance)
+        costs = trials.costs(cloud, regarded)
+        starts = [valley.coordinates, *cloud[np.argsort(costs, kind="stable")[: LATER_DESCENTS - 1]]]
+        valleys = [descent.run(point, regarded) for point in starts]
+        valley, before = min(valleys, key=lambda valley: valley.outcome.cost(regarded)), regarded
+    jacobian = descent.errors_at(valley, before).jacobian
     return Optimum(valley.coordinates, valley.outcome, jacobian, valley.ending)
+
+
+def _cloud(
+    centre: NDArray[np.float64], errors: _LocalErrors, chance: np.random.Generator
+) -> NDArray[np.float64]:
+    """Points as the errors scatter them about ``centre``, shape (k, n)."""
+    n = len(centre)
+    scattered = chance.normal(size=(CLOUD * n, n)) @ errors.steps
+    return np.asarray(np.clip(centre + scattered, 0.0, 1.0), dtype=np.float64)
 
 
 def _evolve(
@@ -140,7 +164,7 @@ class _Descent:
         self._progress = progress
         self._known: dict[bytes, Outcome] = {}
         self._steps = 0
-        self._most_steps = MOST_STEPS * (DESCENTS + len(problem.objective.stages) - 1)
+        self._most_steps = MOST_STEPS * (DESCENTS + LATER_DESCENTS * (len(problem.objective.stages) - 1))
 
     def run(self, start: NDArray[np.float64], regarded: int) -> _Valley:
         """Valley below ``start``, of the first ``regarded`` residuals."""
@@ -170,26 +194,27 @@ class _Descent:
             self._progress(_standing("refinement", self._steps, self._most_steps, self._trials))
         return self._known[key]
 
-    def jacobian_over_errors(self, valley: _Valley) -> NDArray[np.float64]:
-        """Jacobian over steps of a standard error, along the directions whose errors are independent.
+    def errors_at(self, valley: _Valley, regarded: int) -> _LocalErrors:
+        """Errors from a Jacobian over steps of a standard error, along directions that are independent.
 
         Where an impact begins to appear, residuals change like a square root: a derivative along the axes of
         the unknowns would take that for a slope.
         """
-        point, residuals = valley.coordinates, valley.outcome.residuals
+        point, residuals = valley.coordinates, valley.outcome.residuals[:regarded]
         noise = math.sqrt(residual_variance(residuals, len(point)))
         smallest = SMALLEST_STEP * self._objective.difference
-        jacobian = self._jacobian(point, len(residuals))
+        jacobian = self._jacobian(point, regarded)
         for _ in range(STEP_ROUNDS):
             _, singular, directions = np.linalg.svd(jacobian, full_matrices=True)
             singular = np.concatenate([singular, np.zeros(len(point) - len(singular))])
             with np.errstate(divide="ignore"):
-                steps = np.clip(noise / singular, smallest, LARGEST_STEP)
-            before, jacobian = jacobian, self._differences(point, len(residuals), directions * steps[:, None])
-            changes = np.linalg.norm((jacobian - before) @ directions.T, axis=0) * steps
+                lengths = np.clip(noise / singular, smallest, LARGEST_STEP)
+            steps = directions * lengths[:, None]
+            before, jacobian = jacobian, self._differences(point, regarded, steps)
+            changes = np.linalg.norm((jacobian - before) @ steps.T, axis=0)
             if (changes < STEP_TOLERANCE * noise).all():
                 break
-        return jacobian
+        return _LocalErrors(jacobian, steps)
 
     def _jacobian(self, point: NDArray[np.float64], regarded: int) -> NDArray[np.float64]:
         return self._differences(point, regarded, self._objective.difference * np.eye(len(point)))

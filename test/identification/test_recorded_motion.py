@@ -40,7 +40,7 @@ TRUTH = updated(
 NOISE = {"driving_x": 5e-8, "driving_y": 5e-8, "dte": 2e-7}  # m, about a hundredth of each
 OPTIONS = ("bearings.*.clearance=20e-6:40e-6", "oil.viscosity=0.01:0.06", "mesh.stiffness=2e8:4e8")
 VALUES = np.array([31e-6, 0.03, 3.3e8])
-QUICK = SearchSettings(generations=10, population=8)
+QUICK = SearchSettings(generations=8, population=7)
 
 
 @pytest.fixture(scope="module")
@@ -64,8 +64,14 @@ def fitted(problem: Problem, folder: Path, settings: SearchSettings = QUICK, wor
     return run_fit(problem, settings, FitJournal.create(folder, request_of(problem, settings)), workers)
 
 
-def test_three_parameters_are_found_within_their_errors(noisy: Recording, tmp_path: Path) -> None:
-    found = fitted(problem_of(noisy, tuple(NOISE), OPTIONS, 0.0, 0.003), tmp_path / "fit")
+@pytest.fixture(scope="module")
+def found(noisy: Recording, tmp_path_factory: pytest.TempPathFactory) -> Fit:
+    return fitted(
+        problem_of(noisy, tuple(NOISE), OPTIONS, 0.0, 0.002), tmp_path_factory.mktemp("fit") / "fit"
+    )
+
+
+def test_three_parameters_are_found_within_their_errors(found: Fit) -> None:
     assert found.uncertainty is not None
     errors = found.uncertainty.standard_errors
     assert (np.abs(found.values - VALUES) < 3.0 * errors).all()
@@ -73,26 +79,22 @@ def test_three_parameters_are_found_within_their_errors(noisy: Recording, tmp_pa
     assert found.uncertainty.directions == ()
     for name, entry in found.problem.objective.summary(found.residuals)["channels"].items():
         assert entry["residual_rms"] == pytest.approx(NOISE[name], rel=0.15)
-        assert abs(entry["neighbour_correlation"]) < 0.2
+        assert abs(entry["neighbour_correlation"]) < 4.0 / np.sqrt(200)
 
 
-def test_errors_grow_with_the_noise_and_hold_the_truth(noisy: Recording, tmp_path: Path) -> None:
+def test_errors_grow_with_the_noise_and_hold_the_truth(found: Fit, tmp_path: Path) -> None:
     louder = {name: 4.0 * deviation for name, deviation in NOISE.items()}
-    loud = recording.open(record_with_noise(tmp_path / "bag", TRUTH, louder, 0.004, seed=2))
-    start = updated(Parameters(), {"bearings.driving.clearance": 30e-6, "bearings.driven.clearance": 30e-6})
-    errors = []
-    for number, bag in enumerate((noisy, loud)):
-        problem = problem_of(bag, tuple(NOISE), OPTIONS, 0.0, 0.003, base=start)
-        found = fitted(problem, tmp_path / str(number))
-        assert found.uncertainty is not None
-        assert (np.abs(found.values - VALUES) < 3.0 * found.uncertainty.standard_errors).all()
-        errors.append(found.uncertainty.standard_errors)
-    np.testing.assert_allclose(errors[1] / errors[0], 4.0, rtol=0.15)
+    bag = recording.open(record_with_noise(tmp_path / "bag", TRUTH, louder, 0.004, seed=2))
+    loud = fitted(problem_of(bag, tuple(NOISE), OPTIONS, 0.0, 0.002), tmp_path / "fit")
+    assert loud.uncertainty is not None and found.uncertainty is not None
+    errors = loud.uncertainty.standard_errors
+    assert (np.abs(loud.values - VALUES) < 3.0 * errors).all()
+    np.testing.assert_allclose(errors / found.uncertainty.standard_errors, 4.0, rtol=0.15)
 
 
 def test_two_moduli_that_act_together_are_named(noisy: Recording, tmp_path: Path) -> None:
     options = [f"bearings.{part}.youngs_modulus=1.5e11:3e11" for part in ("shaft", "sleeve")]
-    problem = problem_of(noisy, ["driving_x", "driving_y"], [*options, OPTIONS[0]], 0.0, 0.003, base=TRUTH)
+    problem = problem_of(noisy, ["driving_x", "driving_y"], [*options, OPTIONS[0]], 0.0, 0.001, base=TRUTH)
     found = fitted(problem, tmp_path / "fit", SearchSettings(generations=0))
     assert found.uncertainty is not None
     (direction,) = found.uncertainty.directions

@@ -46,7 +46,7 @@ def test_two_parameters_are_found_from_numbers_at_two_speeds(tmp_path: Path) -> 
     unknowns = read_unknowns(["mesh.stiffness=2e8:4e8", "mesh.error_cos[0]=6e-6:12e-6"], Parameters())
     objective = TargetObjective(table, measure_of(table.watch), QUANTITIES)
     objective.require_fitting(Parameters(), unknowns)
-    problem, settings = Problem(Parameters(), unknowns, objective), SearchSettings(12, 6)
+    problem, settings = Problem(Parameters(), unknowns, objective), SearchSettings(8, 5)
     found = run_fit(problem, settings, FitJournal.create(tmp_path / "fit", request_of(problem, settings)), 2)
     np.testing.assert_allclose(found.values, [3.2e8, 8e-6], rtol=1e-3)
     rows = objective.summary(found.residuals)["targets"]
