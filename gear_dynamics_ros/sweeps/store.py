@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.simulation.provenance import current_provenance
 from gear_dynamics_ros.sweeps.axis import Axis
-from gear_dynamics_ros.sweeps.lane import PointOutcome
+from gear_dynamics_ros.sweeps.branch import PointOutcome
 from gear_dynamics_ros.sweeps.plan import Index, SweepPlan
 from gear_dynamics_ros.sweeps.point import ARRAYS, SCALARS, PointResult, ended, spectrum_orders
 from gear_dynamics_ros.system.files import output_file, replace_file, replace_text
