@@ -81,7 +81,7 @@ def compute_on_cluster(plan: SweepPlan, works: Sequence[Work], keep: Keep, sched
         )
     except (OSError, ValueError, TimeoutError) as error:
         raise GearboxError(f"the Dask scheduler {scheduler} does not answer: {error}") from error
-    with client:
+    with client, client.as_current():
         shared = client.scatter(plan, broadcast=True)  # type: ignore[no-untyped-call]
         futures = [client.submit(_compute_all, shared, work, pure=False, retries=3) for work in works]
         for _, outcomes in _finished(distributed, futures):
