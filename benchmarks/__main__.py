@@ -154,7 +154,7 @@ def sections(before: str) -> list[Section]:
         ),
         Section(
             "Processor time of the node",
-            "As before, in chunks of 2 ms; shares of one core by thread. `main` takes commands and serves.",
+            "As before, in chunks of 2 ms; shares of one core by thread. `main` serves.",
             latency.processor_time,
         ),
         Section(
