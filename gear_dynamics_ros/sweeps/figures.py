@@ -29,9 +29,9 @@ from gear_dynamics_ros.sweeps.labels import (
 WIDTH: Final = 10.0  # inches
 SECTION_POINTS: Final = 400  # drawn of each section
 DOTTED_VALUES: Final = 60  # up to this number each value of a curve gets a dot
-WATERFALL_LINES: Final = 40
+WATERFALL_LINES: Final = 30
 WATERFALL_DECADES: Final = 4.0  # of amplitude in a line's height
-WATERFALL_LIFT: Final = 4.0  # height of a line, in distances of lines
+WATERFALL_LIFT: Final = 3.0  # height of a line, in distances of lines
 MAP_DECADES: Final = 5.0  # of amplitude in the colours of a map
 NO_RESULT: Final = "#DDDDDD"
 MODEL_COLOURS: Final = {
@@ -292,6 +292,7 @@ def spectrum_map_figure(dataset: xr.Dataset) -> Figure:
         row[0].set_ylabel(_row_label("order of the mesh frequency", direction))
     for axis in axes[-1]:
         _mark_axis(axis, swept)
+        axis.set_xlim(*_edges(swept.positions)[[0, -1]])
     figure.colorbar(image, ax=axes, label="amplitude of DTE (µm)", pad=0.01)
     return figure
 
@@ -372,7 +373,7 @@ def _draw_waterfall(
 
 def _draw_scale(axis: Axes, base: float, lift: float, top: float) -> None:
     """A second axis on the right with the amplitudes of the lowest line."""
-    powers = np.arange(-WATERFALL_DECADES, 0.5)
+    powers = np.arange(-WATERFALL_DECADES, 0.5, 2.0)
     right = axis.secondary_yaxis("right")
     right.set_yticks(
         base + lift * (1.0 + powers / WATERFALL_DECADES), [f"{top * 10.0**power:.2g}" for power in powers]
@@ -403,16 +404,20 @@ def _curves_figure(dataset: xr.Dataset, quantities: Sequence[Quantity], height: 
     figure = Figure(figsize=(WIDTH, height * len(quantities) + 0.7), layout="constrained")
     axes = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0]
     for axis, quantity in zip(axes, quantities, strict=True):
-        symbol, factor = _unit(dataset, quantity.variable)
-        for model in _models(dataset):
-            for direction in _directions(dataset):
-                values = factor * _numbers(_select(dataset, model, direction), quantity.variable)
-                _draw_curve(axis, swept, values, model, direction)
-        axis.set_ylabel(with_symbol(quantity.label, symbol))
+        _draw_curves(axis, swept, dataset, quantity)
     _outside_legend(axes[0])
     _mark_axis(axes[-1], swept)
     figure.align_ylabels()
     return figure
+
+
+def _draw_curves(axis: Axes, swept: SweptQuantity, dataset: xr.Dataset, quantity: Quantity) -> None:
+    symbol, factor = _unit(dataset, quantity.variable)
+    for model in _models(dataset):
+        for direction in _directions(dataset):
+            values = factor * _numbers(_select(dataset, model, direction), quantity.variable)
+            _draw_curve(axis, swept, values, model, direction)
+    axis.set_ylabel(with_symbol(quantity.label, symbol))
 
 
 def _draw_curve(
@@ -476,22 +481,21 @@ def _draw_band(
 
 @styled
 def exponents_figure(dataset: xr.Dataset) -> Figure:
-    """Largest Lyapunov exponent, K of the 0-1 test and period over the swept quantity."""
+    """Largest Lyapunov exponent, K of the 0-1 test and, if there are any, periods over the swept quantity."""
     (swept,) = swept_quantities(dataset)
-    quantities = [Quantity("lyapunov", "largest exponent"), Quantity("zero_one", "K of 0-1 test")]
-    with_period = _has(dataset, "period")
-    figure = _curves_figure(
-        dataset, [*quantities, *([Quantity("period", "period")] if with_period else [])], 2.1
-    )
-    exponent, zero_one, *rest = figure.axes
-    exponent.set_ylabel("largest Lyapunov\nexponent (1/s)")
+    rows = 3 if _has(dataset, "period") else 2
+    figure = Figure(figsize=(WIDTH, 2.1 * rows + 0.7), layout="constrained")
+    exponent, zero_one, *rest = figure.subplots(rows, 1, sharex=True)
+    _draw_curves(exponent, swept, dataset, Quantity("lyapunov", "largest Lyapunov\nexponent"))
     exponent.axhline(0.0, color="#555555", linewidth=0.8)
     exponent.set_title("Chaos: exponent above 0, K near 1")
-    zero_one.set_ylim(-0.15, 1.15)
-    zero_one.set_ylabel("K of the\n0-1 test")
+    _outside_legend(exponent)
+    _draw_curves(zero_one, swept, dataset, Quantity("zero_one", "K of the\n0-1 test"))
+    zero_one.set_ylim(min(-0.1, zero_one.get_ylim()[0]), 1.1)
     for axis in rest:
-        axis.clear()
         _draw_periods(axis, swept, dataset)
+    _mark_axis(figure.axes[-1], swept)
+    figure.align_ylabels()
     return figure
 
 
@@ -514,7 +518,6 @@ def _draw_periods(axis: Axes, swept: SweptQuantity, dataset: xr.Dataset) -> None
     axis.set_ylim(0.4, highest + 0.6)
     axis.set_yticks(np.arange(1.0, highest + 0.5, 1.0 if highest <= 8.0 else 2.0))
     axis.set_ylabel("period\n(mesh periods)")
-    _mark_axis(axis, swept)
 
 
 @styled

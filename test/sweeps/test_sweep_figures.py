@@ -172,7 +172,7 @@ def test_exponents_and_periods(over_speed: xr.Dataset) -> None:
     exponent, zero_one, period = figure.axes
     np.testing.assert_allclose(curves(figure, 0)["improved"], over_speed["lyapunov"].sel(model="improved"))
     assert exponent.get_ylabel() == "largest Lyapunov\nexponent (1/s)"
-    assert zero_one.get_ylim() == (-0.15, 1.15)
+    assert zero_one.get_ylim()[0] <= -0.1 and zero_one.get_ylim()[1] == 1.1
     assert period.get_ylabel() == "period\n(mesh periods)"
     low, high = period.get_ylim()
     assert low < 1.0 and high > float(over_speed["period"].max())
@@ -219,12 +219,13 @@ def test_spectrum_maps_share_their_colours_and_have_the_mean_left_out(over_speed
 
 
 def test_lines_of_the_waterfall_stand_at_their_values(over_speed: xr.Dataset) -> None:
-    figure = figures.spectrum_waterfall_figure(over_speed)
+    shown = over_speed.isel({"operation.speed": slice(None, figures.WATERFALL_LINES)})
+    figure = figures.spectrum_waterfall_figure(shown)
     axis = figure.axes[1]
     lift = figures.WATERFALL_LIFT * 500.0  # rpm between lines
-    spectra = over_speed["dte_spectrum"].sel(model="compared").to_numpy()
-    top = float(over_speed["dte_spectrum"].max())
-    for line, base, spectrum in zip(axis.get_lines(), RPM, spectra, strict=True):
+    spectra = shown["dte_spectrum"].sel(model="compared").to_numpy()
+    top = float(shown["dte_spectrum"].max())
+    for line, base, spectrum in zip(axis.get_lines(), RPM[: len(spectra)], spectra, strict=True):
         decades = np.maximum(np.log10(spectrum[1:] / top), -figures.WATERFALL_DECADES)
         expected = base + lift * (1.0 + decades / figures.WATERFALL_DECADES)
         np.testing.assert_allclose(np.asarray(line.get_ydata(), dtype=float), expected)
