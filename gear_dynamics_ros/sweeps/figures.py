@@ -40,6 +40,7 @@ MODEL_COLOURS: Final = {
     "improved": palette.GREEN,
 }
 DIRECTION_COLOURS: Final = {"up": palette.BLUE, "down": palette.ORANGE}
+DIRECTION_SHIFTS: Final = {"up": -0.15, "down": 0.15}  # of the distance of two values
 REGIME_COLOURS: Final = {
     "periodic": palette.BLUE,
     "quasi-periodic": palette.PURPLE,
@@ -227,10 +228,12 @@ def bifurcation_figure(dataset: xr.Dataset) -> Figure:
 
 def _draw_sections(axis: Axes, swept: SweptQuantity, dataset: xr.Dataset, direction: str) -> None:
     sections = MICRO * _numbers(dataset, "section_dte")[:, -SECTION_POINTS:]
+    # Side by side, as motions that both ways share would hide each other.
+    shift = DIRECTION_SHIFTS.get(direction, 0.0) * _spacing(swept.positions)
     for name, colour, chosen in _classes(dataset, direction, len(sections)):
         if not np.isfinite(sections[chosen]).any():
             continue
-        places = np.repeat(swept.positions[chosen], sections.shape[1])
+        places = np.repeat(swept.positions[chosen] + shift, sections.shape[1])
         axis.plot(
             places,
             sections[chosen].ravel(),
@@ -246,10 +249,16 @@ def _draw_sections(axis: Axes, swept: SweptQuantity, dataset: xr.Dataset, direct
             axis.plot([], [], ".", color=colour, markersize=8.0, label=name)
 
 
+def _spacing(positions: NDArray[np.float64]) -> float:
+    """Least distance of neighbours; 0 of a single one."""
+    return float(np.diff(positions).min()) if len(positions) > 1 else 0.0
+
+
 def _classes(dataset: xr.Dataset, direction: str, count: int) -> list[tuple[str, str, NDArray[np.bool_]]]:
     """Name and colour of each class of the ``count`` points, and which points belong to it."""
     if direction:
-        return [(direction, DIRECTION_COLOURS.get(direction, palette.GREY), np.ones(count, dtype=np.bool_))]
+        name = f"swept {direction}"
+        return [(name, DIRECTION_COLOURS.get(direction, palette.GREY), np.ones(count, dtype=np.bool_))]
     if "regime" not in dataset:
         return [("", palette.BLUE, np.ones(count, dtype=np.bool_))]
     regimes = dataset["regime"].to_numpy().astype(str)

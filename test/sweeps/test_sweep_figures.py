@@ -153,7 +153,10 @@ def test_bifurcation_holds_every_point_by_regime_and_marks_points_without_result
 
 
 def test_bifurcation_of_both_ways_tells_them_apart(both_ways: xr.Dataset) -> None:
-    assert legend(figures.bifurcation_figure(both_ways), 1) == ["up", "down"]
+    figure = figures.bifurcation_figure(both_ways)
+    assert legend(figure, 1) == ["swept up", "swept down"]
+    up, down = (np.asarray(line.get_xdata()) for line in figure.axes[1].get_lines()[:3:2])
+    assert (np.unique(down) > np.unique(up)).all()
 
 
 def test_shares_are_percent_of_each_model(over_speed: xr.Dataset) -> None:
