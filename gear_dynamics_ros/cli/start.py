@@ -36,7 +36,7 @@ def analyze() -> int:
 
 def sweep() -> int:
     """Run ``sweep``."""
-    return _run_main("sweep")
+    return _run_main("sweep", "sweeping")
 
 
 def identify() -> int:
@@ -44,10 +44,10 @@ def identify() -> int:
     return _run_main("identify")
 
 
-def _run_main(name: str) -> int:
+def _run_main(name: str, module: str = "") -> int:
     open_streams()
     try:
-        return int(getattr(import_module(f"gear_dynamics_ros.cli.{name}"), f"{name}_main")())
+        return int(getattr(import_module(f"gear_dynamics_ros.cli.{module or name}"), f"{name}_main")())
     except KeyboardInterrupt:
         print(f"{name}: interrupted by SIGINT", file=sys.stderr)
         return SIGNALLED + signal.SIGINT

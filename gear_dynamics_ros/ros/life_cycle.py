@@ -1,4 +1,4 @@
-"""Services and events of the life cycle, with queues that hold every request.
+"""Services of the life cycle, with queues that hold every request.
 
 Those that rclpy creates queue ten requests, and lose the others of a burst: their clients wait for ever.
 """
@@ -8,56 +8,21 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from lifecycle_msgs.msg import State, Transition, TransitionDescription, TransitionEvent
+from lifecycle_msgs.msg import State, Transition, TransitionDescription
 from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState
-from rclpy.clock import Clock
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
-from rclpy.publisher import Publisher
 
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.ros.deferred_answers import SERVICE_QUALITY
 
-EVENT_DEPTH = 10  # as in the life cycle of rclpy and rclcpp
-
-
-class _ToldStateMachine:
-    """The state machine of a node, which publishes each transition after it was made."""
-
-    def __init__(self, machine: Any, events: Publisher, clock: Clock) -> None:
-        """``machine`` is the state machine of rclpy."""
-        self._machine, self._events, self._clock = machine, events, clock
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._machine, name)
-
-    def trigger_transition_by_id(self, identifier: int, publish: bool) -> None:
-        self._tell(lambda: self._machine.trigger_transition_by_id(identifier, False))
-
-    def trigger_transition_by_label(self, label: str, publish: bool) -> None:
-        self._tell(lambda: self._machine.trigger_transition_by_label(label, False))
-
-    def _tell(self, trigger: Callable[[], None]) -> None:
-        possible, start = self._machine.available_transitions, self._machine.current_state
-        trigger()
-        goal = self._machine.current_state
-        event = TransitionEvent(
-            timestamp=self._clock.now().nanoseconds, start_state=_state(*start), goal_state=_state(*goal)
-        )
-        for identifier, label, _, _, goal_identifier, _ in possible:
-            if goal_identifier == goal[0]:
-                event.transition = Transition(id=identifier, label=label)
-        self._events.publish(event)
-
 
 def create_life_cycle_services(node: LifecycleNode) -> None:
-    """Create the services and the events of the life cycle of ``node``, which has no others.
+    """Create the services of the life cycle of ``node``, which has none.
 
-    ``node`` was made with ``enable_communication_interface=False``. A service that can't do what it is asked
-    raises GearboxError.
+    ``node`` was made with ``enable_communication_interface=False``, which leaves the services out, and not
+    the events. A service that can't do what it is asked raises GearboxError.
     """
-    events = node.create_publisher(TransitionEvent, "~/transition_event", EVENT_DEPTH)
-    machine = _ToldStateMachine(node._state_machine, events, node.get_clock())
-    node._state_machine = machine
+    machine = node._state_machine
 
     def change_state(request: Any, response: Any) -> Any:
         transition = _possible_transition(machine, request.transition)

@@ -1,4 +1,4 @@
-"""What a sweep computes: models, axes and directions, as points and the lanes in which they are computed."""
+"""What a sweep computes: models, axes and directions, as points and the branches that they form."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DIRECTIONS: Final = {
 Index = tuple[int, ...]  # of a point: model, way, and the value on each axis
 
 
-class Lane(NamedTuple):
+class Branch(NamedTuple):
     """Points that are computed one after the other; each but the first starts in the state of that before."""
 
     points: tuple[Index, ...]
@@ -82,13 +82,13 @@ class SweepPlan:
         """All points, the last axis fastest."""
         return itertools.product(*map(range, self.shape))
 
-    def lanes(self) -> list[Lane]:
-        """All lanes, which can be computed in any order."""
+    def branches(self) -> list[Branch]:
+        """All branches, which can be computed in any order."""
         if self.direction == "independent":
-            return [Lane((point,)) for point in self.points()]
+            return [Branch((point,)) for point in self.points()]
         _, _, length, *others = self.shape
         return [
-            Lane(tuple((model, way, value, *rest) for value in _travel(self.axes[0], name, length)))
+            Branch(tuple((model, way, value, *rest) for value in _travel(self.axes[0], name, length)))
             for model in range(len(self.models))
             for way, name in enumerate(self.ways)
             for rest in itertools.product(*map(range, others))

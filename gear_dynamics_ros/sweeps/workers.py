@@ -1,4 +1,4 @@
-"""Computes all lanes of a plan: on the threads of this process, or on a Dask cluster."""
+"""Computes all branches of a plan: on the threads of this process, or on a Dask cluster."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import Any, Final, NamedTuple
 
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.sweeps.lane import PointOutcome, compute_lane
+from gear_dynamics_ros.sweeps.branch import PointOutcome, compute_branch
 from gear_dynamics_ros.sweeps.plan import Index, SweepPlan
 
 Keep = Callable[[PointOutcome], None]
@@ -17,10 +17,10 @@ CONNECT_TIMEOUT: Final = 10.0  # s
 
 
 class Work(NamedTuple):
-    """What is left of one lane."""
+    """What is left of one branch."""
 
     points: tuple[Index, ...]
-    carried: tuple[Index, bytes] | None  # see ``compute_lane``
+    carried: tuple[Index, bytes] | None  # see ``compute_branch``
 
 
 def processor_count() -> int:
@@ -36,7 +36,7 @@ def compute_on_threads(plan: SweepPlan, works: Sequence[Work], keep: Keep, worke
     stopping = threading.Event()
 
     def compute(work: Work) -> None:
-        for outcome in _until(stopping, compute_lane(plan, work.points, work.carried)):
+        for outcome in _until(stopping, compute_branch(plan, work.points, work.carried)):
             keep(outcome)
 
     queue = iter(works)
@@ -66,7 +66,7 @@ def _until(stopping: threading.Event, outcomes: Iterator[PointOutcome]) -> Itera
 def compute_on_cluster(plan: SweepPlan, works: Sequence[Work], keep: Keep, scheduler: str) -> None:
     """Compute ``works`` on the Dask cluster at the address ``scheduler``; ``keep`` gets each outcome.
 
-    A lane whose worker dies is computed again by another. Raises GearboxError if Dask is not installed, or
+    A branch whose worker dies is computed again by another. Raises GearboxError if Dask is not installed, or
     the scheduler does not answer.
     """
     try:
@@ -81,7 +81,7 @@ def compute_on_cluster(plan: SweepPlan, works: Sequence[Work], keep: Keep, sched
         )
     except (OSError, ValueError, TimeoutError) as error:
         raise GearboxError(f"the Dask scheduler {scheduler} does not answer: {error}") from error
-    with client:
+    with client, client.as_current():
         shared = client.scatter(plan, broadcast=True)  # type: ignore[no-untyped-call]
         futures = [client.submit(_compute_all, shared, work, pure=False, retries=3) for work in works]
         for _, outcomes in _finished(distributed, futures):
@@ -94,4 +94,4 @@ def _finished(distributed: Any, futures: Sequence[Any]) -> Iterator[tuple[Any, l
 
 
 def _compute_all(plan: SweepPlan, work: Work) -> list[PointOutcome]:
-    return list(compute_lane(plan, work.points, work.carried))
+    return list(compute_branch(plan, work.points, work.carried))

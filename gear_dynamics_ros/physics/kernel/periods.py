@@ -24,7 +24,7 @@ from gear_dynamics_ros.physics.kernel.records import (
     copy_motion,
 )
 from gear_dynamics_ros.physics.kernel.substeps import advance_step
-from gear_dynamics_ros.physics.kernel.waves import REFRESH_STEPS, refresh_waves
+from gear_dynamics_ros.physics.kernel.waves import REFRESH_STEPS
 
 # Columns of the section: DTE (m) and its rate (m/s) at mesh phase 0, and how far the phase is from 0 (rad).
 SECTION_COLUMNS = 3
@@ -132,12 +132,10 @@ def integrate_periods(
             govern(constants, state, here, interval)
         here.time = (first_sample + row) * interval
         unrefreshed += constants.steps_per_sample
-        if constants.governed or row % samples_per_period == 0:
+        # The waves turn at the speed of their last refresh.
+        if constants.governed or row % samples_per_period == 0 or unrefreshed >= REFRESH_STEPS:
+            speed = state.speed if constants.nominal_phase else here.omega[0]
             open_point(constants, state, here, waves, amplitudes)
-            unrefreshed = 0
-        speed = state.speed if constants.nominal_phase else here.omega[0]
-        if unrefreshed >= REFRESH_STEPS:
-            refresh_waves(constants, state, here, waves, speed)
             unrefreshed = 0
         if not is_finite(here):
             written, status = row, NON_FINITE

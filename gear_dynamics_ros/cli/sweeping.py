@@ -84,9 +84,9 @@ def _sweep(arguments: argparse.Namespace) -> int:
     # Imported here: loading the kernel takes time, which help and refused options need not wait for.
     from gear_dynamics_ros.simulation.warm_up import warm_up_orbit
     from gear_dynamics_ros.sweeps.axis import parse_axis
+    from gear_dynamics_ros.sweeps.execution import run_in_folder
     from gear_dynamics_ros.sweeps.plan import SweepPlan
     from gear_dynamics_ros.sweeps.point import Measurement
-    from gear_dynamics_ros.sweeps.run import run_in_folder
     from gear_dynamics_ros.sweeps.store import SweepFolder
 
     plan = SweepPlan(

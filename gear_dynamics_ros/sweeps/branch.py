@@ -1,4 +1,4 @@
-"""Computes the points of one lane; what a worker does, in this process or in another."""
+"""Computes the points of one branch; what a worker does, in this process or in another."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ class PointOutcome(NamedTuple):
     state: bytes  # empty if the run ended, or nothing goes on from it
 
 
-def compute_lane(
+def compute_branch(
     plan: SweepPlan, points: Sequence[Index], carried: tuple[Index, bytes] | None = None
 ) -> Iterator[PointOutcome]:
-    """Compute ``points``, consecutive ones of a lane of ``plan``, one after the other.
+    """Compute ``points``, consecutive ones of a branch of ``plan``, one after the other.
 
-    ``carried`` are the point before the first and the state after it, None at the start of a lane or after a
-    run that ended. A point whose parameters don't fit together, or whose run ends, gives NaN and the reason.
+    ``carried`` are the point before the first and the state after it, None at the start of a branch or after
+    a run that ended. A point whose parameters don't fit together or whose run ends gives NaN and the reason.
     """
     orbit = None if carried is None else _restored(plan, *carried)
     for point in points:

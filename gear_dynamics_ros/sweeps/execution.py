@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import xarray as xr
 
-from gear_dynamics_ros.sweeps.lane import PointOutcome
-from gear_dynamics_ros.sweeps.plan import Lane, SweepPlan
+from gear_dynamics_ros.sweeps.branch import PointOutcome
+from gear_dynamics_ros.sweeps.plan import Branch, SweepPlan
 from gear_dynamics_ros.sweeps.store import SweepFolder, make_dataset
 from gear_dynamics_ros.sweeps.workers import (
     Keep,
@@ -26,7 +26,7 @@ def run(plan: SweepPlan, workers: int | None = None, scheduler: str | None = Non
     scheduler. The numbers depend on neither. Raises GearboxError if the scheduler does not answer.
     """
     outcomes: list[PointOutcome] = []
-    works = [Work(lane.points, None) for lane in plan.lanes()]
+    works = [Work(branch.points, None) for branch in plan.branches()]
     compute(plan, works, outcomes.append, workers, scheduler)
     return make_dataset(plan, outcomes)
 
@@ -43,7 +43,7 @@ def run_in_folder(
     earlier one is damaged, or the scheduler does not answer.
     """
     plan = folder.plan
-    works = [work for lane in plan.lanes() if (work := what_is_left(folder, lane)).points]
+    works = [work for branch in plan.branches() if (work := what_is_left(folder, branch)).points]
     done = plan.size - sum(len(work.points) for work in works)
     progress(done)
     counter = itertools.count(done + 1)
@@ -65,11 +65,11 @@ def compute(
         compute_on_threads(plan, works, keep, workers or processor_count())
 
 
-def what_is_left(folder: SweepFolder, lane: Lane) -> Work:
-    """The points of ``lane`` that are not done in ``folder``, and the state that they go on from."""
-    missing = next((i for i, point in enumerate(lane.points) if not folder.has(point)), len(lane.points))
+def what_is_left(folder: SweepFolder, branch: Branch) -> Work:
+    """The points of ``branch`` that are not done in ``folder``, and the state that they go on from."""
+    missing = next((i for i, point in enumerate(branch.points) if not folder.has(point)), len(branch.points))
     carried: tuple[tuple[int, ...], bytes] | None = None
-    if 0 < missing < len(lane.points):
-        before = folder.get(lane.points[missing - 1])
+    if 0 < missing < len(branch.points):
+        before = folder.get(branch.points[missing - 1])
         carried = (before.point, before.state) if before.state else None
-    return Work(lane.points[missing:], carried)
+    return Work(branch.points[missing:], carried)
