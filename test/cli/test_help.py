@@ -17,6 +17,7 @@ COMMANDS: Final = [
     ["replay"],
     *(["replay", verb] for verb in REPLAY_VERBS),
     ["analyze"],
+    ["sweep"],
     ["identify"],
     ["urdf"],
 ]

@@ -32,6 +32,7 @@ SHARED = (
     "config/gearbox.yaml",
     "config/paper.yaml",
     "config/profiles/demo.yaml",
+    "examples/identify_clearance.py",
     "examples/speed_controller.py",
     "launch/gearbox.launch.py",
     "sros2/policy.xml",
