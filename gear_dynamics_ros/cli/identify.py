@@ -169,9 +169,11 @@ def _from_recording(arguments: argparse.Namespace) -> tuple[Problem, str]:
         read_motion,
         require_not_recorded,
     )
+    from gear_dynamics_ros.simulation.warm_up import warm_up
 
     require_not_recorded(unknowns)
-    _warm_up(parameters)
+    _warn(parameters)
+    warm_up(*stderr_lines("identify"))
     motion = read_motion(bag, arguments.channels.split(","), arguments.start, arguments.end)
     warn_of_faults("identify", bag)
     base = parameters_as_recorded(parameters, motion)
@@ -192,8 +194,10 @@ def _from_targets(arguments: argparse.Namespace) -> tuple[Problem, str]:
     table = read_targets(arguments.targets)
     from gear_dynamics_ros.identification.motion_quantities import QUANTITIES, measure_of
     from gear_dynamics_ros.identification.objective import Problem
+    from gear_dynamics_ros.simulation.warm_up import warm_up_orbit
 
-    _warm_up(parameters)
+    _warn(parameters)
+    warm_up_orbit(*stderr_lines("identify"))
     objective = TargetObjective(table, measure_of(table.watch), QUANTITIES)
     objective.require_fitting(parameters, unknowns)
     return Problem(parameters, unknowns, objective), f"table {arguments.targets}"
@@ -205,13 +209,11 @@ def _parameters(arguments: argparse.Namespace, recorded: Parameters | None) -> P
     return load_parameters(arguments.params_file or share_file("config/gearbox.yaml"), arguments.set)
 
 
-def _warm_up(parameters: Parameters) -> None:
+def _warn(parameters: Parameters) -> None:
     from gear_dynamics_ros.physics.advice import parameter_warnings
-    from gear_dynamics_ros.simulation.warm_up import warm_up
 
     for line in parameter_warnings(parameters):
         print(f"identify: warning: {line}", file=sys.stderr)
-    warm_up(*stderr_lines("identify"))
 
 
 class _FitProgress:

@@ -23,7 +23,7 @@ from gear_dynamics_ros.simulation.engine import Engine
 
 # Two chaotic runs whose parameters differ a little part after about as many periods of the mesh.
 DEFAULT_PERIODS: Final = 40
-MOST_SAMPLES: Final = 200_000
+MOST_SAMPLES: Final = 20_000
 SKIPPED_SAMPLES: Final = 20_000  # computed at once before the window
 # Channels that jump, or that no parameter of the gearbox decides.
 NOT_FITTED: Final = ("time", "meshing_state", "driving_angle", "mesh_phase")

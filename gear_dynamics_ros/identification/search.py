@@ -205,8 +205,7 @@ class _Descent:
         smallest = SMALLEST_STEP * self._objective.difference
         jacobian = self._jacobian(point, regarded)
         for _ in range(STEP_ROUNDS):
-            _, singular, directions = np.linalg.svd(jacobian, full_matrices=True)
-            singular = np.concatenate([singular, np.zeros(len(point) - len(singular))])
+            singular, directions = independent_directions(jacobian)
             with np.errstate(divide="ignore"):
                 lengths = np.clip(noise / singular, smallest, LARGEST_STEP)
             steps = directions * lengths[:, None]
@@ -237,6 +236,16 @@ class _Descent:
         # Of the columns that no end reached, the pseudoinverse makes zeros.
         inverse = np.linalg.pinv(ends[n:] - ends[:n], rcond=1e-9)
         return np.asarray((inverse @ (rows[n:] - rows[:n])).T, dtype=np.float64)
+
+
+def independent_directions(
+    jacobian: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """All n singular values of ``jacobian`` (m, n), falling, and their directions (n, n), rows."""
+    m, n = jacobian.shape
+    padded = np.concatenate([jacobian, np.zeros((max(n - m, 0), n))])
+    _, singular, directions = np.linalg.svd(padded, full_matrices=False)
+    return singular, directions
 
 
 def residual_variance(residuals: NDArray[np.float64], fitted: int) -> float:

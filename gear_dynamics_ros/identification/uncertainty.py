@@ -9,7 +9,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gear_dynamics_ros.identification.search import Optimum, residual_variance
+from gear_dynamics_ros.identification.search import (
+    Optimum,
+    independent_directions,
+    residual_variance,
+)
 from gear_dynamics_ros.identification.unknowns import Unknown
 
 # A direction along which the residuals change less than this, against the best determined one, is flat: such
@@ -90,8 +94,7 @@ def _free_covariance(
     widths = np.array([unknown.width for unknown in unknowns])
     # Relative changes, so that a product of two unknowns shows as +1 % with -1 %.
     scales = np.maximum(np.abs(values), 1e-3 * widths)
-    _, singular, rows = np.linalg.svd(jacobian * (scales / slopes), full_matrices=True)
-    singular = np.concatenate([singular, np.zeros(len(unknowns) - len(singular))])
+    singular, rows = independent_directions(jacobian * (scales / slopes))
     greatest = max(float(singular.max()), np.finfo(float).tiny)
     flat = singular <= FLAT * greatest
     directions = []

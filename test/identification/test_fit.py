@@ -16,7 +16,7 @@ from gear_dynamics_ros.identification.fit import Fit, request_of, run_fit
 from gear_dynamics_ros.identification.journal import FitJournal
 from gear_dynamics_ros.identification.objective import Problem
 from gear_dynamics_ros.identification.report import fit_text, fit_to_json, write_fit
-from gear_dynamics_ros.identification.search import SearchSettings
+from gear_dynamics_ros.identification.search import SearchSettings, independent_directions
 from gear_dynamics_ros.identification.unknowns import read_unknowns
 from gear_dynamics_ros.parameters import Parameters, load_parameters
 
@@ -281,3 +281,13 @@ def test_trials_run_on_as_many_threads_as_asked_for(tmp_path: Path) -> None:
     objective.model = together
     problem = Problem(Parameters(), read_unknowns(OPTIONS, Parameters()), objective)
     assert fit(problem, tmp_path / "fit", workers=2).stopped == ""
+
+
+@pytest.mark.parametrize("shape", [(50_000, 3), (2, 3)])
+def test_directions_of_many_or_few_residuals(shape: tuple[int, int]) -> None:
+    """Of many: the singular vectors of the residuals, all by all, would take gigabytes."""
+    jacobian = np.random.default_rng(1).normal(size=shape)
+    singular, directions = independent_directions(jacobian)
+    np.testing.assert_allclose(directions @ directions.T, np.eye(3), atol=1e-12)
+    powers = directions @ jacobian.T @ jacobian @ directions.T
+    np.testing.assert_allclose(powers, np.diag(singular**2), rtol=1e-9, atol=1e-9)

@@ -116,6 +116,16 @@ def test_the_truth_gives_the_recording_to_the_bit(tmp_path: Path) -> None:
         assert objective.residuals(parameters_as_recorded(other, motion)).any()
 
 
+def test_a_recording_that_was_begun_during_the_run_is_repeated_too(tmp_path: Path) -> None:
+    parameters = updated(TRUTH, SHORT)
+    deeds = [Commands(30.0 + chunk % 3, 30.0, 1600.0) for chunk in range(20)]
+    bag = record(tmp_path / "bag", parameters, 20, following(deeds), begin=4)
+    motion = read_motion(bag, ["dte"])
+    assert not motion.fresh and motion.measured.first == 120
+    base = parameters_as_recorded(parameters, motion)
+    assert not MotionObjective(motion, base).residuals(base).any()
+
+
 def test_the_start_the_commands_and_the_samples_are_those_of_the_recording(noisy: Recording) -> None:
     motion = read_motion(noisy, ["dte"])
     others = {"operation.speed": 500.0, "solver.sample_interval": 2e-5, "mesh.stiffness": 2.9e8}
@@ -203,3 +213,9 @@ def test_a_trial_that_ends_early_says_why(noisy: Recording) -> None:
 def test_what_the_recording_gives_is_not_varied() -> None:
     with pytest.raises(UsageError, match=r"operation\.load_torque: the recording gives it"):
         require_not_recorded(read_unknowns(["operation.load_torque=20:40"], Parameters()))
+
+
+def test_a_window_that_is_too_long_is_refused(noisy: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gear_dynamics_ros.identification.recorded_motion.MOST_SAMPLES", 500)
+    with pytest.raises(UsageError, match="the window has 600 samples, the limit is 500"):
+        read_motion(noisy, ["dte"], 0.0, 0.006)
