@@ -230,7 +230,7 @@ def _require_known_types(parameters: Sequence[Any]) -> None:
 
 
 def guard_services(node: Node, sender: AnswerSender) -> None:
-    """Make the services of ``node`` that rclpy created, those of its life cycle too, answer as its own do.
+    """Make the services of ``node`` that rclpy answers, those of its life cycle too, answer as its own do.
 
     Their answers are spaced like all others. If rclpy raises an error on a request, such as a transition that
     is not possible in the present state, the answer is empty (``success: false``, if there is such a field)
@@ -250,7 +250,8 @@ def _guard(node: Node, sender: AnswerSender, service: Service) -> None:
             return answer(request, response)
         except Exception as error:
             log: Any = node.get_logger()
-            log.warning(f"{service.srv_name}: refused: {one_line(error) or repr(error)}")
+            name = node.resolve_service_name(service.srv_name)
+            log.warning(f"{name}: refused: {one_line(error) or repr(error)}")
             return kind.Response()  # type: ignore[attr-defined]
 
     service.callback = callback

@@ -29,6 +29,7 @@ from gear_dynamics_ros.recording.ring import require_memory
 from gear_dynamics_ros.ros import diagnostics, node_topics
 from gear_dynamics_ros.ros.command_receiver import CommandReceiver
 from gear_dynamics_ros.ros.deferred_answers import AnswerSender, guard_services
+from gear_dynamics_ros.ros.lifecycle_services import create_lifecycle_services
 from gear_dynamics_ros.ros.node_services import create_services
 from gear_dynamics_ros.ros.runtime_parameters import RuntimeParameters
 from gear_dynamics_ros.simulation import checkpoint
@@ -44,7 +45,11 @@ class GearboxNode(LifecycleNode):
 
     def __init__(self, stop: Callable[[str], None]) -> None:
         """``stop`` is called on the engine's thread with the reason when ``pacing.duration`` is simulated."""
-        super().__init__("gearbox", automatically_declare_parameters_from_overrides=True)
+        super().__init__(
+            "gearbox",
+            enable_communication_interface=False,  # the services only: transition_event stays
+            automatically_declare_parameters_from_overrides=True,
+        )
         self._stop = stop
         self._log: Any = self.get_logger()  # type: ignore[no-untyped-call]
         self._answers = AnswerSender(self._log)
@@ -69,6 +74,7 @@ class GearboxNode(LifecycleNode):
         self.recording_failed = False  # whether any recording of any session failed
         # Services exist longer than the session, so that a call in progress when it ends is answered.
         create_services(self, self._answers, self._active_session, self._restore_checkpoint)
+        create_lifecycle_services(self)
         guard_services(self, self._answers)
 
     @property

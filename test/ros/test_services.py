@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import rclpy
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState, GetState
+from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import (
     DescribeParameters,
@@ -33,6 +33,7 @@ from std_srvs.srv import SetBool, Trigger
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.ros.deferred_answers import SPACING, AnswerSender, Spacing, require_send_response
 from gear_dynamics_ros.ros.gearbox_client import require_take_message
+from gear_dynamics_ros.ros.lifecycle_services import create_lifecycle_services
 from support.gearbox import PATIENCE, start_gearbox
 from support.processes import Process, StartProcess, until
 
@@ -167,7 +168,7 @@ def test_a_transition_that_is_not_possible_is_refused_and_the_run_goes_on(
 ) -> None:
     request = ChangeState.Request(transition=Transition(id=transition))
     assert not caller.call(ChangeState, "change_state", request).success
-    gearbox.wait_for("change_state: refused: ")
+    gearbox.wait_for("/gearbox/change_state: refused: ")
     assert caller.call(GetState, "get_state").current_state.label == "active"
     assert caller.call(SetBool, "pause", pause(True)).message.startswith("paused")
 
@@ -181,6 +182,32 @@ def test_a_burst_of_questions_about_parameters_is_answered(gearbox: Process, cal
     for name, (kind, request) in ask.items():
         client = caller.client(kind, name, depth=100)
         caller.answers([client.call_async(request) for _ in range(60)])
+
+
+def test_a_burst_of_calls_about_the_life_cycle_is_answered(gearbox: Process, caller: Caller) -> None:
+    kinds = {
+        "get_state": GetState,
+        "get_available_states": GetAvailableStates,
+        "get_available_transitions": GetAvailableTransitions,
+        "get_transition_graph": GetAvailableTransitions,
+        "change_state": ChangeState,
+    }
+    for name, kind in kinds.items():
+        client = caller.client(kind, name, depth=100)
+        caller.answers([client.call_async(kind.Request()) for _ in range(60)])
+
+
+def test_sixteen_clients_that_ask_while_the_node_configures_are_all_answered(
+    ros_domain: int, process: StartProcess, caller: Caller
+) -> None:
+    start_gearbox(process, "autostart:=false")
+    clients = [caller.client(GetState, "get_state") for _ in range(16)]
+    change = caller.client(ChangeState, "change_state")
+    configure = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CONFIGURE))
+    changed = change.call_async(configure)
+    states = [client.call_async(GetState.Request()) for client in clients]
+    assert caller.answers([changed])[0].success
+    assert {answer.current_state.label for answer in caller.answers(states)} <= {"unconfigured", "inactive"}
 
 
 def test_an_answer_that_fails_holds_up_no_other() -> None:
@@ -235,6 +262,18 @@ def test_another_rclpy_is_refused_with_words(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.delattr(Service, "send_response")
     with pytest.raises(GearboxError, match="parameters None"):
         require_send_response()
+
+
+def test_a_life_cycle_that_cannot_be_answered_is_refused_with_words(ros_domain: int) -> None:
+    context = Context()
+    rclpy.init(context=context)
+    node = Node("unmanaged", context=context)
+    try:
+        with pytest.raises(GearboxError, match=r"no callback for change_state.* ROS 2 Jazzy"):
+            create_lifecycle_services(node)
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
 
 
 def test_a_subscription_that_cannot_be_drained_is_refused_with_words(ros_domain: int) -> None:
