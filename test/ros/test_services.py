@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 import rclpy
-from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.msg import Transition, TransitionEvent
 from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import (
@@ -34,7 +34,7 @@ from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.ros.deferred_answers import SPACING, AnswerSender, Spacing, require_send_response
 from gear_dynamics_ros.ros.gearbox_client import require_take_message
 from gear_dynamics_ros.ros.lifecycle_services import create_lifecycle_services
-from support.gearbox import PATIENCE, start_gearbox
+from support.gearbox import PATIENCE, Peer, start_gearbox
 from support.processes import Process, StartProcess, until
 
 
@@ -208,6 +208,26 @@ def test_sixteen_clients_that_ask_while_the_node_configures_are_all_answered(
     states = [client.call_async(GetState.Request()) for client in clients]
     assert caller.answers([changed])[0].success
     assert {answer.current_state.label for answer in caller.answers(states)} <= {"unconfigured", "inactive"}
+
+
+def test_transitions_are_published(gearbox: Process, ros_domain: int) -> None:
+    reached: list[str] = []
+
+    def take(event: TransitionEvent) -> None:
+        reached.append(event.goal_state.label)
+
+    with Peer("listener") as peer:
+        peer.node.create_subscription(TransitionEvent, "/gearbox/transition_event", take, 10)
+
+        def heard() -> bool:
+            # The first ones may be made before publisher and subscription are connected.
+            for number in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE):
+                assert peer.transition(number).success
+            return "deactivating" in reached
+
+        peer.until(heard)
+        last = ["deactivating", "inactive", "activating", "active"]
+        peer.until(lambda: reached[-4:] == last)
 
 
 def test_an_answer_that_fails_holds_up_no_other() -> None:
