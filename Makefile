@@ -54,7 +54,7 @@ $(INSTALLED): setup.py setup.cfg pyproject.toml constraints.txt
 	@echo "== Installing gear_dynamics_ros and the pinned packages it needs (1.6 GB on disk, a few minutes)"
 	@$(BIN)/python -m pip install --disable-pip-version-check --progress-bar off --constraint constraints.txt setuptools
 	@$(BIN)/python -m pip install --disable-pip-version-check --progress-bar off --constraint constraints.txt \
-		--no-build-isolation --editable '.[ros,viewer,export,test,bench]'
+		--no-build-isolation --editable '.[ros,viewer,export,cluster,test,bench]'
 	@touch $@
 
 # The compiled kernel is cached beside its source; compiling it here keeps the first run short.

@@ -17,6 +17,7 @@ import numpy as np
 import plain_c
 import recordings
 import speed
+import sweep_speed
 
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.parameters import Parameters
@@ -28,7 +29,12 @@ RATIO_AIMED_AT = 1.2
 SOLVER_REPEATS = 3
 RECORDINGS = "Recordings: writing, reading, verifying"
 SCHEDULING = "Real-time scheduling"
-PAGES = {RECORDINGS: "recording.md", SCHEDULING: "real_time.md"}  # pages that show a section
+SWEEPS = "Sweeps"
+PAGES = {
+    RECORDINGS: "recording.md",
+    SCHEDULING: "real_time.md",
+    SWEEPS: "sweeps.md",
+}  # pages that show a section
 MADE = "Made by `make bench` on {machine}."
 
 Lines = list[str]
@@ -130,6 +136,13 @@ def sections(before: str) -> list[Section]:
             lambda: speed.recording(tuple(REAL_TIME_AIMED_AT)),
         ),
         Section(RECORDINGS, "Model improved, gearbox.yaml, unless said otherwise.", recordings.tables),
+        Section(
+            SWEEPS,
+            f"config/paper.yaml, {sweep_speed.SPEEDS} speeds from 2000 to 18000 rpm, 4000 mesh periods in "
+            "100 steps each. Below: the median over speeds and models of what coarser steps change, beside "
+            f"{sweep_speed.FINE} steps per period; chaotic points differ by their statistics too.",
+            sweep_speed.tables,
+        ),
         Section(
             "Latency",
             "The node in a process of its own with gearbox.yaml at real-time factor 1, this one listening to "

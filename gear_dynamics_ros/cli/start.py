@@ -34,10 +34,15 @@ def analyze() -> int:
     return _run_main("analyze")
 
 
-def _run_main(name: str) -> int:
+def sweep() -> int:
+    """Run ``sweep``."""
+    return _run_main("sweep", "sweeping")
+
+
+def _run_main(name: str, module: str = "") -> int:
     open_streams()
     try:
-        return int(getattr(import_module(f"gear_dynamics_ros.cli.{name}"), f"{name}_main")())
+        return int(getattr(import_module(f"gear_dynamics_ros.cli.{module or name}"), f"{name}_main")())
     except KeyboardInterrupt:
         print(f"{name}: interrupted by SIGINT", file=sys.stderr)
         return SIGNALLED + signal.SIGINT

@@ -8,8 +8,10 @@ import itertools
 import threading
 import time
 import traceback
+import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import SetParametersResult
@@ -30,8 +32,24 @@ SERVICE_QUALITY = QoSProfile(depth=1000)
 # s between the answers of one service to simultaneous calls. A client queues 10 answers by default, and
 # receives the answers to all clients of the service: one that stops for ten times as long loses some.
 SPACING = 0.025
+# s for which an answer is offered again while the middleware does not know the client's reader, and between
+# two attempts. The reader and the writer of a new client are discovered independently: its first request can
+# come long before its reader is known. Each attempt waits for 0.1 s inside the middleware.
+DISCOVERY_PATIENCE = 10.0
+DISCOVERY_INTERVAL = 0.1
+UNDISCOVERED = "failed to send response (timeout)"  # how the warning of rclpy begins
 SEND_RESPONSE_PARAMETERS = ["self", "response", "header"]
 NOT_DEFERRED = "internal error: rclpy sent this answer before the work was done; see the log for the result"
+
+
+@dataclass(order=True)
+class _Answer:
+    """An answer that waits: the first due is the smallest."""
+
+    due: float  # monotonic time, s
+    order: int
+    send: Callable[[], bool] = field(compare=False)
+    abandoned: float = field(compare=False)  # monotonic time after which it is not offered again, s
 
 
 class AnswerSender:
@@ -40,18 +58,19 @@ class AnswerSender:
     def __init__(self, log: Any) -> None:
         """``log`` is the logger of the node."""
         self._log = log
-        self._waiting: list[tuple[float, int, Callable[[], None]]] = []  # a heap, the first due first
+        self._waiting: list[_Answer] = []  # a heap
         self._order = itertools.count()
         self._changed = threading.Condition()
         self._closing = False
         self._thread = threading.Thread(target=self._work, name="answers", daemon=True)
         self._thread.start()
 
-    def put(self, due: float, send: Callable[[], None]) -> None:
-        """Call ``send``, which sends one answer, at the monotonic time ``due`` (s). For any thread."""
-        with self._changed:
-            heapq.heappush(self._waiting, (due, next(self._order), send))
-            self._changed.notify()
+    def put(self, due: float, send: Callable[[], bool]) -> None:
+        """Call ``send``, which sends one answer, at the monotonic time ``due`` (s). For any thread.
+
+        It is called again, for ``DISCOVERY_PATIENCE``, while it returns False: the client is not yet known.
+        """
+        self._wait(_Answer(due, next(self._order), send, due + DISCOVERY_PATIENCE))
 
     def close(self) -> None:
         """Send all waiting answers at once and end the thread."""
@@ -60,25 +79,41 @@ class AnswerSender:
             self._changed.notify()
         self._thread.join()
 
+    def _wait(self, answer: _Answer) -> None:
+        with self._changed:
+            heapq.heappush(self._waiting, answer)
+            self._changed.notify()
+
     def _work(self) -> None:
         begin_thread()
-        while send := self._next():
+        while answer := self._next():
             try:
-                send()
+                sent = answer.send()
             except InvalidHandle:  # the service was destroyed
                 continue
             except Exception:  # the other answers must be sent all the same
                 self._log.error(traceback.format_exc())
+                continue
+            if not sent:
+                self._offer_again(answer)
 
-    def _next(self) -> Callable[[], None] | None:
+    def _offer_again(self, answer: _Answer) -> None:
+        now = time.monotonic()
+        if self._closing or now > answer.abandoned:
+            self._log.warning("an answer was not sent: the middleware did not find the client that asked")
+            return
+        answer.due = now + DISCOVERY_INTERVAL
+        self._wait(answer)
+
+    def _next(self) -> _Answer | None:
         """Wait for the next answer to be due; None if the sender is closed and no answer waits."""
         with self._changed:
             while not self._closing:
-                wait = self._waiting[0][0] - time.monotonic() if self._waiting else None
+                wait = self._waiting[0].due - time.monotonic() if self._waiting else None
                 if wait is not None and wait <= 0.0:
                     break
                 self._changed.wait(wait)
-            return heapq.heappop(self._waiting)[2] if self._waiting else None
+            return heapq.heappop(self._waiting) if self._waiting else None
 
 
 class Spacing:
@@ -124,20 +159,38 @@ class DeferredAnswers:
         self._deferred[id(response)] = work, complete
 
     def _send_when_done(self, response: Any, header: Any) -> None:
+        def send() -> bool:
+            return is_sent(lambda: self._send(response, header))
+
         deferred = self._deferred.pop(id(response), None)
         if deferred is None:
-            self._put(header, lambda: self._send(response, header))
+            self._put(header, send)
             return
         work, complete = deferred
 
-        def send() -> None:
+        def complete_and_send() -> bool:
             complete()
-            self._send(response, header)
+            return send()
 
-        work.add_done_callback(lambda _: self._put(header, send))
+        work.add_done_callback(lambda _: self._put(header, complete_and_send))
 
-    def _put(self, header: Any, send: Callable[[], None]) -> None:
+    def _put(self, header: Any, send: Callable[[], bool]) -> None:
         self._sender.put(self._spacing.due(header.received_timestamp), send)
+
+
+def is_sent(send: Callable[[], None]) -> bool:
+    """Call ``send``; whether rclpy did not warn that the middleware does not know the client's reader.
+
+    rclpy does not raise an error then, and the answer is lost.
+    """
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        send()
+    undiscovered = [str(warning.message).startswith(UNDISCOVERED) for warning in caught]
+    for warning, known in zip(caught, undiscovered, strict=True):
+        if not known:
+            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+    return not any(undiscovered)
 
 
 def require_send_response() -> None:
@@ -230,7 +283,7 @@ def _require_known_types(parameters: Sequence[Any]) -> None:
 
 
 def guard_services(node: Node, sender: AnswerSender) -> None:
-    """Make the services of ``node`` that rclpy answers, those of its life cycle too, answer as its own do.
+    """Make the services of ``node`` that rclpy created, those of its life cycle too, answer as its own do.
 
     Their answers are spaced like all others. If rclpy raises an error on a request, such as a transition that
     is not possible in the present state, the answer is empty (``success: false``, if there is such a field)
@@ -250,8 +303,7 @@ def _guard(node: Node, sender: AnswerSender, service: Service) -> None:
             return answer(request, response)
         except Exception as error:
             log: Any = node.get_logger()
-            name = node.resolve_service_name(service.srv_name)
-            log.warning(f"{name}: refused: {one_line(error) or repr(error)}")
+            log.warning(f"{service.service_name}: refused: {one_line(error) or repr(error)}")
             return kind.Response()  # type: ignore[attr-defined]
 
     service.callback = callback

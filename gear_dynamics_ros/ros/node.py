@@ -29,7 +29,7 @@ from gear_dynamics_ros.recording.ring import require_memory
 from gear_dynamics_ros.ros import diagnostics, node_topics
 from gear_dynamics_ros.ros.command_receiver import CommandReceiver
 from gear_dynamics_ros.ros.deferred_answers import AnswerSender, guard_services
-from gear_dynamics_ros.ros.lifecycle_services import create_lifecycle_services
+from gear_dynamics_ros.ros.life_cycle import create_life_cycle_services
 from gear_dynamics_ros.ros.node_services import create_services
 from gear_dynamics_ros.ros.runtime_parameters import RuntimeParameters
 from gear_dynamics_ros.simulation import checkpoint
@@ -47,7 +47,7 @@ class GearboxNode(LifecycleNode):
         """``stop`` is called on the engine's thread with the reason when ``pacing.duration`` is simulated."""
         super().__init__(
             "gearbox",
-            enable_communication_interface=False,  # the services only: transition_event stays
+            enable_communication_interface=False,
             automatically_declare_parameters_from_overrides=True,
         )
         self._stop = stop
@@ -74,7 +74,7 @@ class GearboxNode(LifecycleNode):
         self.recording_failed = False  # whether any recording of any session failed
         # Services exist longer than the session, so that a call in progress when it ends is answered.
         create_services(self, self._answers, self._active_session, self._restore_checkpoint)
-        create_lifecycle_services(self)
+        create_life_cycle_services(self)
         guard_services(self, self._answers)
 
     @property

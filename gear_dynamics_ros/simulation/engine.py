@@ -39,6 +39,7 @@ from gear_dynamics_ros.physics.kernel import entry
 from gear_dynamics_ros.physics.kernel.records import CALL, POINT, STATE
 from gear_dynamics_ros.physics.kernel.substeps import IMPACTS_PER_STEP
 from gear_dynamics_ros.simulation.checkpoint import Checkpoint, require_running
+from gear_dynamics_ros.simulation.start_state import end_reason, start_commands, start_state
 
 IMPACTS_A_CALL = 256
 
@@ -60,20 +61,10 @@ class Engine:
 
     def reset(self) -> None:
         """Return to the start state and to the commands of the parameters; simulated time continues."""
-        operation = self.parameters.operation
-        self.commands = Commands(operation.drive_torque, operation.load_torque, operation.speed)
         self.status = Status.RUNNING
         self._points, self._call = aligned_zeros((3,), POINT), aligned_zeros((1,), CALL)
-        self._state = aligned_zeros((1,), STATE)
-        state = self._state
-        if operation.initial == "touching":
-            r1, r2 = self._constants["base_radius"][0]
-            state["omega"] = operation.speed, operation.speed * r1 / r2
-        state["drive_torque"] = operation.drive_torque
-        state["governor"] = operation.drive_torque
-        state["impact_speed"] = self._constants["minimum_impact_speed"]
-        self.command(self.commands)
-        entry.start_touching(self._constants, state, self._points, *self._excitations)
+        self._state = start_state(self.parameters, self._constants, self._points, self._excitations)
+        self.commands = start_commands(self.parameters)
 
     def command(self, commands: Commands) -> None:
         """Put ``commands`` in force from the next sample on."""
@@ -204,23 +195,8 @@ class Engine:
         self._state, self.status, self.commands = state, checkpoint.status, checkpoint.commands
 
     def _reason(self) -> str:
-        if self.status is Status.OVER_SPEED:
-            fastest = float(np.abs(self._state["omega"]).max())
-            limit = self.parameters.operation.speed_limit
-            return (
-                f"over-speed: {exact_text(fastest)} rad/s exceeds operation.speed_limit = "
-                f"{exact_text(limit)} rad/s"
-            )
-        if self.status is Status.NON_FINITE:
-            return (
-                f"the state is no longer finite at t = {self.sample * self._interval_ns * 1e-9:.9g} s: "
-                f"lower solver.step = {self.parameters.solver.step:g} s or check the parameters"
-            )
-        if self.status is Status.CENTRES_PRESSED:
-            return (
-                "the centres are pressed together: no backlash is left (b1 <= 0) and both flanks would touch"
-            )
-        return ""
+        time = self.sample * self._interval_ns * 1e-9
+        return end_reason(self.status, self._state, self.parameters, time)
 
 
 def require_resumable(checkpoint: Checkpoint) -> None:
@@ -233,7 +209,17 @@ _STATE_NAMES = STATE.names or ()
 _COUNTERS = list(Counters._fields)
 # What some entries of the state may be; the others may be any finite number.
 _FLAGS = ("mesh_clamped", "contact", "clamped", "film_limited", "pressed")
-_NOT_NEGATIVE = ("contact_age", "peak_force2", "steps", "events", "capped", "impacts", "flank_changes")
+_NOT_NEGATIVE = (
+    "drive_time",
+    "back_time",
+    "contact_age",
+    "peak_force2",
+    "steps",
+    "events",
+    "capped",
+    "impacts",
+    "flank_changes",
+)
 _COMMANDED = ("speed", "load_torque")
 
 

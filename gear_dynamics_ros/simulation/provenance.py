@@ -24,6 +24,7 @@ MODEL_SOURCES = (
     "physics/**/*.py",
     "simulation/engine.py",
     "simulation/run.py",
+    "simulation/start_state.py",
 )
 
 

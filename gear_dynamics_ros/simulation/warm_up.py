@@ -11,6 +11,7 @@ from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters, change_values
 from gear_dynamics_ros.physics.kernel.compiling import LOG
 from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.orbit import SAMPLES_PER_PERIOD, Orbit
 from gear_dynamics_ros.simulation.run import Run
 
 
@@ -19,16 +20,21 @@ def warm_up(say: Callable[[str], object], warn: Callable[[str], object]) -> None
 
     ``say`` is told if the kernel is compiled, ``warn`` if the compiled kernel can't be read or kept.
     """
-    began = time.perf_counter()
-    with _kernel_log(say, warn) as log:
+    with _told(say, warn):
         # What is compiled depends on types alone, never on values: one sample of any gearbox will do.
         interval = Parameters.from_flat({}).solver.sample_interval
         parameters = Parameters.from_flat({"solver.chunk": interval})
         run = Run(Engine(parameters), Encoder(parameters, 0))
         run.step()
         run.change(change_values(parameters, {"operation.on_timeout": "release"}))
-    if log.compiled:
-        say(f"compiled in {time.perf_counter() - began:.0f} s")
+
+
+def warm_up_orbit(say: Callable[[str], object], warn: Callable[[str], object]) -> None:
+    """As ``warm_up``, for orbits."""
+    with _told(say, warn):
+        orbit = Orbit(Parameters.from_flat({}), SAMPLES_PER_PERIOD)
+        orbit.advance(1)
+        orbit.retarget(orbit.parameters)
 
 
 class _KernelLog(logging.Handler):
@@ -45,6 +51,15 @@ class _KernelLog(logging.Handler):
         else:
             self.compiled = True
             self._say(record.getMessage())
+
+
+@contextmanager
+def _told(say: Callable[[str], object], warn: Callable[[str], object]) -> Iterator[None]:
+    began = time.perf_counter()
+    with _kernel_log(say, warn) as log:
+        yield
+    if log.compiled:
+        say(f"compiled in {time.perf_counter() - began:.0f} s")
 
 
 @contextmanager

@@ -25,7 +25,7 @@ from support.paths import ROOT
 from support.processes import executable
 
 PACKAGE = "gear_dynamics_ros"
-EXECUTABLES = ("analyze", "drive", "gearbox", "replay", "simulate")
+EXECUTABLES = ("analyze", "drive", "gearbox", "replay", "simulate", "sweep")
 SHARED = (
     "package.xml",
     "config/fastdds_local.xml",
@@ -53,6 +53,7 @@ PROVIDERS: Mapping[str, str] = {
 }
 # The distribution that pip installs, because Ubuntu 24.04 has it too old or not at all.
 FROM_PIP: Mapping[str, str] = {
+    "distributed": "distributed",
     "llvmlite": "llvmlite",
     "matplotlib": "matplotlib",
     "mcap": "mcap",
@@ -60,6 +61,7 @@ FROM_PIP: Mapping[str, str] = {
     "numba": "numba",
     "pyarrow": "pyarrow",
     "rosbags": "rosbags",
+    "xarray": "xarray",
     "zstandard": "zstandard",
 }
 # Needs NumPy 2, which ROS 2 Jazzy's message packages do not work with.
@@ -223,7 +225,9 @@ def test_constraints_for_ubuntu_pin_what_pip_installs() -> None:
     unmarked = {requirement.name: requirement for requirement in required if not requirement.marker}
     assert {"matplotlib", "numba", "numpy", "rosbags"} <= unmarked.keys()
     versions = {name.lower(): version for name, version in pinned.items()}
-    assert [str(each) for each in unmarked.values() if not each.specifier.contains(versions[each.name])] == []
+    assert [
+        str(each) for each in unmarked.values() if not each.specifier.contains(versions[each.name.lower()])
+    ] == []
 
 
 def test_entry_points_are_the_executables() -> None:
@@ -235,7 +239,7 @@ def test_entry_points_are_the_executables() -> None:
 @pytest.mark.parametrize("name", EXECUTABLES)
 def test_ctrl_c_while_a_command_is_loaded_is_told_in_a_line(tmp_path: Path, name: str) -> None:
     slow = "import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(60.0)\n"
-    (tmp_path / "numpy.py").write_text(slow)  # every command loads it, the node beyond its help
+    (tmp_path / "yaml.py").write_text(slow)  # every command loads it, the node beyond its help
     arguments = [] if name == "gearbox" else ["--help"]
     script = Path(sys.executable).with_name(name)
     done = subprocess.run(

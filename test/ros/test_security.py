@@ -309,7 +309,7 @@ def test_the_policy_grants_what_the_live_nodes_use_and_no_more(ros_domain, proce
 
 
 def test_the_policy_grants_what_replay_publish_uses_and_no_more(ros_domain, process, observer, tmp_path):
-    simulate = process("simulate", "--duration", "10", "--output", tmp_path / "bag", *COARSE)
+    simulate = process("simulate", "--duration", "60", "--output", tmp_path / "bag", *COARSE)
     assert simulate.wait() == 0, simulate.output
     start_gearbox(process)
     process("replay", "publish", tmp_path / "bag", "--lockstep", "--wait", PATIENCE)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -31,10 +33,15 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from gear_dynamics_ros.errors import GearboxError
-from gear_dynamics_ros.ros.deferred_answers import SPACING, AnswerSender, Spacing, require_send_response
+from gear_dynamics_ros.ros.deferred_answers import (
+    SPACING,
+    AnswerSender,
+    Spacing,
+    is_sent,
+    require_send_response,
+)
 from gear_dynamics_ros.ros.gearbox_client import require_take_message
-from gear_dynamics_ros.ros.lifecycle_services import create_lifecycle_services
-from support.gearbox import PATIENCE, Peer, start_gearbox
+from support.gearbox import PATIENCE, start_gearbox
 from support.processes import Process, StartProcess, until
 
 
@@ -66,6 +73,20 @@ class Caller:
         (answer,) = self.answers([client.call_async(request or kind.Request())])
         self._node.destroy_client(client)
         return answer
+
+    @contextmanager
+    def messages(self, kind: Any, name: str) -> Iterator[list[Any]]:
+        """The messages that come on a topic of the gearbox from now on."""
+        received: list[Any] = []
+        subscription = self._node.create_subscription(kind, f"/gearbox/{name}", received.append, 100)
+        yield received
+        self._node.destroy_subscription(subscription)
+
+    def spin(self, duration: float) -> None:
+        """Receive for ``duration`` wall seconds."""
+        end = time.monotonic() + duration
+        while time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=0.05)
 
     def close(self) -> None:
         self._node.destroy_node()
@@ -109,19 +130,26 @@ def test_sixteen_clients_at_once_are_all_answered(gearbox: Process, caller: Call
 
 
 def test_a_call_that_takes_long_holds_up_no_other(gearbox: Process, caller: Caller) -> None:
+    # Discovery of the clients must not use up the time that the steps may take.
+    others = {name: caller.client(Trigger, name) for name in ("save_checkpoint", "snapshot", "reset")}
+    setter = caller.client(SetParametersAtomically, "set_parameters_atomically")
+    steps = caller.client(Trigger, "step")
     assert caller.call(SetBool, "pause", pause(True)).success
     chunks = [Parameter("stepping.chunks", value=1_000_000).to_parameter_msg()]
     assert caller.call(SetParameters, "set_parameters", SetParameters.Request(parameters=chunks))
-    stepping = caller.client(Trigger, "step").call_async(Trigger.Request())
-    assert caller.call(Trigger, "save_checkpoint").success
-    assert "no ring" in caller.call(Trigger, "snapshot").message
+
+    def answer(client: Any, request: Any) -> Any:
+        return caller.answers([client.call_async(request)])[0]
+
+    stepping = steps.call_async(Trigger.Request())
+    assert answer(others["save_checkpoint"], Trigger.Request()).success
+    assert "no ring" in answer(others["snapshot"], Trigger.Request()).message
     viscosity = [Parameter("oil.viscosity", value=0.05).to_parameter_msg()]
-    request = SetParametersAtomically.Request(parameters=viscosity)
-    assert caller.call(SetParametersAtomically, "set_parameters_atomically", request).result.successful
+    assert answer(setter, SetParametersAtomically.Request(parameters=viscosity)).result.successful
     assert not stepping.done()
-    assert caller.call(Trigger, "reset").success
-    (answer,) = caller.answers([stepping])
-    assert not answer.success and "aborted: the run was reset" in answer.message
+    assert answer(others["reset"], Trigger.Request()).success
+    (stepped,) = caller.answers([stepping])
+    assert not stepped.success and "aborted: the run was reset" in stepped.message
 
 
 def test_changes_and_restores_at_once_leave_node_and_run_with_the_same_parameters(
@@ -168,7 +196,7 @@ def test_a_transition_that_is_not_possible_is_refused_and_the_run_goes_on(
 ) -> None:
     request = ChangeState.Request(transition=Transition(id=transition))
     assert not caller.call(ChangeState, "change_state", request).success
-    gearbox.wait_for("/gearbox/change_state: refused: ")
+    gearbox.wait_for("change_state: refused: ")
     assert caller.call(GetState, "get_state").current_state.label == "active"
     assert caller.call(SetBool, "pause", pause(True)).message.startswith("paused")
 
@@ -184,15 +212,14 @@ def test_a_burst_of_questions_about_parameters_is_answered(gearbox: Process, cal
         caller.answers([client.call_async(request) for _ in range(60)])
 
 
-def test_a_burst_of_calls_about_the_life_cycle_is_answered(gearbox: Process, caller: Caller) -> None:
-    kinds = {
+def test_a_burst_of_calls_to_the_life_cycle_is_answered(gearbox: Process, caller: Caller) -> None:
+    for name, kind in {
+        "change_state": ChangeState,
         "get_state": GetState,
         "get_available_states": GetAvailableStates,
         "get_available_transitions": GetAvailableTransitions,
         "get_transition_graph": GetAvailableTransitions,
-        "change_state": ChangeState,
-    }
-    for name, kind in kinds.items():
+    }.items():
         client = caller.client(kind, name, depth=100)
         caller.answers([client.call_async(kind.Request()) for _ in range(60)])
 
@@ -210,24 +237,35 @@ def test_sixteen_clients_that_ask_while_the_node_configures_are_all_answered(
     assert {answer.current_state.label for answer in caller.answers(states)} <= {"unconfigured", "inactive"}
 
 
-def test_transitions_are_published(gearbox: Process, ros_domain: int) -> None:
-    reached: list[str] = []
+def test_the_life_cycle_tells_its_transitions(gearbox: Process, caller: Caller) -> None:
+    by_label = ChangeState.Request(transition=Transition(label="deactivate"))
+    by_id = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVATE))
+    with caller.messages(TransitionEvent, "transition_event") as events:
 
-    def take(event: TransitionEvent) -> None:
-        reached.append(event.goal_state.label)
+        def told() -> bool:  # the gearbox discovers the subscription at a time that nobody tells
+            events.clear()
+            assert caller.call(ChangeState, "change_state", by_label).success
+            assert caller.call(ChangeState, "change_state", by_id).success
+            caller.spin(0.2)
+            return len(events) == 4
 
-    with Peer("listener") as peer:
-        peer.node.create_subscription(TransitionEvent, "/gearbox/transition_event", take, 10)
-
-        def heard() -> bool:
-            # The first ones may be made before publisher and subscription are connected.
-            for number in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE):
-                assert peer.transition(number).success
-            return "deactivating" in reached
-
-        peer.until(heard)
-        last = ["deactivating", "inactive", "activating", "active"]
-        peer.until(lambda: reached[-4:] == last)
+        until(told, "all events of two transitions")
+    assert [(event.start_state.label, event.goal_state.label) for event in events] == [
+        ("active", "deactivating"),
+        ("deactivating", "inactive"),
+        ("inactive", "activating"),
+        ("activating", "active"),
+    ]
+    offered = caller.call(GetAvailableTransitions, "get_available_transitions").available_transitions
+    assert {(item.transition.id, item.transition.label) for item in offered} == {
+        (Transition.TRANSITION_DEACTIVATE, "deactivate"),
+        (Transition.TRANSITION_ACTIVE_SHUTDOWN, "shutdown"),
+    }
+    unknown = ChangeState.Request(transition=Transition(label="accelerate"))
+    assert not caller.call(ChangeState, "change_state", unknown).success
+    gearbox.wait_for(
+        "transition 'accelerate' is not possible in the state active; possible: 4 (deactivate), 7"
+    )
 
 
 def test_an_answer_that_fails_holds_up_no_other() -> None:
@@ -237,12 +275,35 @@ def test_an_answer_that_fails_holds_up_no_other() -> None:
     sender.put(time.monotonic(), lambda: [][0])
     until(lambda: errors, "the error in the log")
     assert "IndexError" in errors[0]
-    sender.put(time.monotonic() + 3600.0, sent.set)
+
+    def sending(event: threading.Event) -> Callable[[], bool]:
+        return lambda: is_sent(event.set)
+
+    sender.put(time.monotonic() + 3600.0, sending(sent))
     first = threading.Event()
-    sender.put(time.monotonic(), first.set)
+    sender.put(time.monotonic(), sending(first))
     assert first.wait(60.0) and not sent.is_set()
     sender.close()
     assert sent.is_set(), "what waits when the sender is closed is sent"
+
+
+def test_an_answer_is_offered_again_until_the_middleware_knows_its_client() -> None:
+    unknown_client = "failed to send response (timeout): client will not receive response"
+    attempts: list[float] = []
+    known = threading.Event()
+
+    def send() -> None:  # as rclpy does
+        attempts.append(time.monotonic())
+        if len(attempts) < 3:
+            warnings.warn(unknown_client, RuntimeWarning, stacklevel=1)
+        else:
+            known.set()
+
+    sender = AnswerSender(SimpleNamespace())
+    sender.put(time.monotonic(), lambda: is_sent(send))
+    assert known.wait(60.0)
+    sender.close()
+    assert len(attempts) == 3
 
 
 def test_only_answers_of_one_service_to_simultaneous_calls_are_spaced(
@@ -282,18 +343,6 @@ def test_another_rclpy_is_refused_with_words(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.delattr(Service, "send_response")
     with pytest.raises(GearboxError, match="parameters None"):
         require_send_response()
-
-
-def test_a_life_cycle_that_cannot_be_answered_is_refused_with_words(ros_domain: int) -> None:
-    context = Context()
-    rclpy.init(context=context)
-    node = Node("unmanaged", context=context)
-    try:
-        with pytest.raises(GearboxError, match=r"no callback for change_state.* ROS 2 Jazzy"):
-            create_lifecycle_services(node)
-    finally:
-        node.destroy_node()
-        context.try_shutdown()
 
 
 def test_a_subscription_that_cannot_be_drained_is_refused_with_words(ros_domain: int) -> None:

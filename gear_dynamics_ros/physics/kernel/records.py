@@ -128,6 +128,8 @@ STATE = padded_record(
         ("contact_age", F8, 2),  # s since then
         ("closing_speed", F8, 2),  # m/s, penetration rate then
         ("peak_force2", F8, 2),  # N^2, greatest contact force since then, squared
+        ("drive_time", F8),  # s on the drive flank since the start
+        ("back_time", F8),  # s on the back flank
         ("nominal_turn", F8),  # nominal angle of gear 1 in turns, 0 to 1
         ("nominal_rest", F8),  # what rounding took from it
         ("governor", F8),  # N m, integral part of the governor's torque

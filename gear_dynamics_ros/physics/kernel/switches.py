@@ -108,7 +108,12 @@ def settle_events(
 
 @inlined
 def note_contacts(state: KernelRecord, here: KernelRecord, h: float) -> None:
-    """Keep age and greatest force of both bearings' contacts after a step of ``h`` to ``here``."""
+    """Keep the time on each flank, and age and greatest force of both bearings' contacts.
+
+    After a step of ``h`` to ``here``, before flags are flipped there.
+    """
+    state.drive_time += 0.5 * h * (state.flank * state.flank + state.flank)
+    state.back_time += 0.5 * h * (state.flank * state.flank - state.flank)
     force_x, force_y = load2(here.contact_x, 0), load2(here.contact_y, 0)
     store(state.peak_force2, 0, at_least(force_x * force_x + force_y * force_y, load2(state.peak_force2, 0)))
     store(state.contact_age, 0, load2(state.contact_age, 0) + h)
