@@ -261,8 +261,19 @@ def _classes(dataset: xr.Dataset, direction: str, count: int) -> list[tuple[str,
         return [(name, DIRECTION_COLOURS.get(direction, palette.GREY), np.ones(count, dtype=np.bool_))]
     if "regime" not in dataset:
         return [("", palette.BLUE, np.ones(count, dtype=np.bool_))]
-    regimes = dataset["regime"].to_numpy().astype(str)
+    regimes = _regimes(dataset)
     return [(name, colour, regimes == name) for name, colour in REGIME_COLOURS.items()]
+
+
+def _regimes(dataset: xr.Dataset) -> NDArray[np.str_]:
+    """Name of each point's regime, empty without result."""
+    regime = dataset["regime"]
+    flags = zip(regime.attrs["flag_values"], regime.attrs["flag_meanings"].split(), strict=True)
+    numbers = regime.to_numpy()
+    named = np.full(numbers.shape, "", dtype="U14")
+    for flag, name in flags:
+        named[numbers == flag] = name
+    return named
 
 
 def _dot(values: int) -> float:
@@ -637,7 +648,7 @@ def regime_map_figure(dataset: xr.Dataset) -> Figure:
 
 def _regime_classes(dataset: xr.Dataset) -> xr.DataArray:
     """Index into REGIME_CLASSES of each point, NaN without result."""
-    regimes = dataset["regime"].to_numpy().astype(str)
+    regimes = _regimes(dataset)
     period = _numbers(dataset, "period")
     named = np.where(period > LONGEST_NAMED_PERIOD, LONGEST_NAMED_PERIOD, period - 1.0)
     classes = np.full(regimes.shape, np.nan)

@@ -19,6 +19,7 @@ from gear_dynamics_ros.sweeps import figures, labels
 MODELS = ["traditional", "compared", "improved"]
 KEPT, PER_ORDER = 60, 20
 RPM = np.linspace(2000.0, 18000.0, 33)
+REGIME_FLAGS = {"flag_values": np.arange(3.0), "flag_meanings": "periodic quasi-periodic chaotic"}
 SCALARS = {
     "dte_min": "m",
     "dte_max": "m",
@@ -57,10 +58,9 @@ def made(coordinates: dict[str, Any], lengths: dict[str, int]) -> xr.Dataset:
     }
     variables["lyapunov"][1][...] -= 1000.0
     variables["period"][1][...] = np.floor(6.0 * variables["period"][1])
-    regimes = np.array(["periodic", "quasi-periodic", "chaotic", ""], dtype=object)
-    regime = regimes[generator.integers(0, 3, shape)]
-    regime[lost] = ""
-    variables["regime"] = (dims, regime)
+    regime = generator.integers(0, 3, shape).astype(np.float64)
+    regime[lost] = np.nan
+    variables["regime"] = (dims, regime, REGIME_FLAGS)
     variables["section_dte"] = ([*dims, "section"], 4e-5 * values(KEPT), {"units": "m"})
     spectrum = 1e-5 * 10.0 ** (-5.0 * values(5 * PER_ORDER + 1))
     variables["dte_spectrum"] = ([*dims, "order"], spectrum, {"units": "m"})
@@ -203,7 +203,7 @@ def test_the_map_of_regimes_names_those_that_occur(over_two: xr.Dataset) -> None
     figure = figures.regime_map_figure(over_two)
     assert set(legend(figure, 2)) == {*figures.REGIME_CLASSES, "no result"}
     periodic = over_two.assign(
-        regime=over_two["regime"].where(over_two["period"].isnull(), "periodic"),
+        regime=over_two["regime"].where(over_two["period"].isnull(), 0.0),
         period=over_two["period"].where(over_two["period"].isnull(), 2.0),
     )
     assert legend(figures.regime_map_figure(periodic), 2) == ["2-T", "no result"]
