@@ -242,6 +242,32 @@ def test_values_in_any_order_are_drawn_in_rising_order(over_speed: xr.Dataset) -
     np.testing.assert_allclose(y, over_speed["ldmf"].sel(model="traditional"))
 
 
+def test_basins_are_those_of_the_motions() -> None:
+    """Two periodic motions beside chaos, one start without result."""
+    places = ("start.dte", 1e-6 * np.arange(6.0), {"units": "m"})
+    rates = ("start.dte_rate", 0.1 * np.arange(5.0), {"units": "m/s"})
+    dataset = made(
+        {"model": MODELS[2:], "start.dte": places, "start.dte_rate": rates},
+        {"model": 1, "start.dte": 6, "start.dte_rate": 5},
+    )
+    expected = np.zeros((6, 5))
+    expected[2:, 1:], expected[4:, 3:], expected[0, 3] = 1.0, 2.0, np.nan
+    numbers = {"dte_min": [17e-6, 5e-6, -9e-6], "dte_max": [40e-6, 44e-6, 60e-6]}
+    numbers |= {"period": [1.0, 2.0, 0.0], "regime": [0.0, 0.0, 2.0]}
+    lost = np.isnan(expected)
+    index = np.where(lost, 0.0, expected).astype(int)
+    for name, values in numbers.items():
+        jitter = np.random.default_rng(3).uniform(-2e-7, 2e-7, index.shape) if name.startswith("dte") else 0.0
+        dataset[name][0] = np.where(lost, np.nan, np.array(values)[index] + jitter)
+    attractors, basin = figures.find_attractors(dataset.isel(model=0))
+    np.testing.assert_array_equal(basin, expected)
+    assert [attractor.regime for attractor in attractors] == ["periodic", "periodic", "chaotic"]
+    figure = figures.sweep_figures(dataset)["basins"]()
+    kinds = [text.split("\n")[0] for text in legend(figure, 0)]
+    assert kinds == ["1-T", "2-T", "chaotic", "no result"]
+    assert texts(figure) == {"start.dte (µm)", "start.dte_rate (m/s)"}
+
+
 def test_names_are_swept_as_names() -> None:
     laws = ["lankarani_nikravesh", "exact"]
     dataset = made(
