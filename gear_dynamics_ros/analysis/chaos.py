@@ -166,9 +166,9 @@ def periodicity(section: NDArray[np.float64], hunting: int, width: float) -> Per
     motion is called *k-T* if k is the smallest number, up to LONGEST_PERIOD, for which each of the k
     sub-sections of every k-th point is a cloud no wider in DTE than ``width`` and, unless k is 1, than
     WIDEST_CLOUD of the section. Each sub-section has at least MIN_CLOUD points, so that a short section shows
-    short periods only. Without such k the motion has no period. Where k divides ``hunting`` and the section is
-    hardly wider than ``width``, the period may be one of the surfaces: with a ratio of 1.5 of their waves they
-    almost repeat after 2, 4 and 8 teeth.
+    short periods only. Without such k the motion has no period. Where k divides ``hunting`` and the section
+    is hardly wider than ``width``, the period may be one of the surfaces: with a ratio of 1.5 of their waves
+    they almost repeat after 2, 4 and 8 teeth.
 
     A k-T motion *repeats* if DTE is the same after the least common multiple of k and ``hunting`` (after
     ``hunting`` if there is no k), within SETTLED of its largest magnitude, throughout the section,
