@@ -38,7 +38,7 @@ def main(folder: Path, speeds: str = SPEEDS, periods: Measurement = PERIODS) -> 
     for path in draw_figures(dataset, folder):
         print(path)
     for model in plan.models:
-        chaotic = int((dataset["regime"].sel(model=model) == "chaotic").sum())
+        chaotic = int((dataset["regime"].sel(model=model) == 2).sum())
         print(f"{model}: chaotic at {chaotic} of {dataset.sizes['operation.speed']} speeds")
 
 

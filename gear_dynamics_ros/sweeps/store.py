@@ -114,9 +114,7 @@ class SweepFolder:
     def write_dataset(self, dataset: xr.Dataset) -> Path:
         """Write ``dataset`` as NetCDF4; returns the file. Raises GearboxError if that fails."""
         path = self.path / DATASET
-        compressed = {
-            name: {"zlib": True} for name, data in dataset.data_vars.items() if data.dtype.kind == "f"
-        }
+        compressed = {name: {"zlib": True} for name in dataset.data_vars if name != "status"}
         draft = self.path / f".{DATASET}"
         try:
             dataset.to_netcdf(draft, engine="netcdf4", encoding=compressed)
@@ -153,18 +151,10 @@ def make_dataset(plan: SweepPlan, outcomes: Iterable[PointOutcome]) -> xr.Datase
     }
     for name, values in arrays.items():
         variables[name] = ((*dims, last.get(name, "section")), values, {"units": ARRAYS[name]})
-    variables["regime"] = (dims, _regime_names(scalars["regime"]), {"long_name": "kind of motion"})
+    variables["regime"][2].update(flag_values=np.arange(3.0), flag_meanings=" ".join(REGIMES))
     variables["status"] = (dims, status, {"long_name": "done, or why there is no result"})
     dataset = xr.Dataset(variables, _coordinates(plan), _attributes(plan))
     return dataset if len(plan.ways) > 1 else dataset.squeeze("direction", drop=True)
-
-
-def _regime_names(numbers: NDArray[np.float64]) -> NDArray[Any]:
-    """Names of REGIMES by their numbers, empty for NaN; of the same shape."""
-    names = np.full(numbers.shape, "", dtype=object)
-    for number, name in enumerate(REGIMES):
-        names[numbers == number] = name
-    return names
 
 
 def _coordinates(plan: SweepPlan) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.parameters import load_parameters
 from gear_dynamics_ros.sweeps import Measurement, SweepPlan, measure, parse_axis, run
 from gear_dynamics_ros.sweeps.execution import run_in_folder
-from gear_dynamics_ros.sweeps.point import ARRAYS, DONE
+from gear_dynamics_ros.sweeps.point import ARRAYS, DONE, SCALARS
 from gear_dynamics_ros.sweeps.store import NOT_COMPUTED, SweepFolder
 from support.paths import CONFIG
 from support.processes import Process, StartProcess, until
@@ -48,8 +48,7 @@ def test_points_are_what_single_runs_give() -> None:
     dataset = run(swept)
     alone = measure(swept.parameters_at((1, 0, 3)), swept.measurement)
     point = dataset.isel(model=1, **{"operation.speed": 3})
-    numbers = {name: value for name, value in alone.scalars.items() if name != "regime"}
-    np.testing.assert_equal({name: float(point[name]) for name in numbers}, numbers)
+    np.testing.assert_equal({name: float(point[name]) for name in SCALARS}, alone.scalars)
     assert all(np.array_equal(point[name].values, alone.arrays[name]) for name in ARRAYS)
 
 
@@ -147,7 +146,8 @@ def test_a_sweep_tells_periodic_from_chaotic_motion() -> None:
     parameters = load_parameters(CONFIG / "paper.yaml")
     dataset = run(SweepPlan(parameters, (speeds,), ("traditional",), Measurement(1000, 400))).squeeze()
     assert dataset["period"].values.tolist() == [2.0, 0.0, 1.0]
-    assert dataset["regime"].values.tolist() == ["periodic", "chaotic", "periodic"]
+    meanings = dataset["regime"].attrs["flag_meanings"].split()
+    assert [meanings[int(code)] for code in dataset["regime"]] == ["periodic", "chaotic", "periodic"]
     assert dataset["lyapunov"][1] > 500.0 and dataset["zero_one"][1] > 0.9
     assert dataset["section_phase_error"].max() < 1e-12
 
