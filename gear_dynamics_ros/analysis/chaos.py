@@ -27,12 +27,14 @@ SETTLED: Final = 1e-6
 # Periodicity
 LONGEST_PERIOD: Final = 16  # mesh periods
 MIN_CLOUD: Final = 8  # points: fewer may lie close together by chance
+# Of the whole section: some of the teeth scatter less than all of them, so wider clouds tell of no period.
+WIDEST_CLOUD: Final = 0.5
 
 # Regime
 # A regular motion has K near 0, a chaotic one near 1; K between 0.1 and 0.9 is rare.
 ZERO_ONE_LIMIT: Final = 0.5
 # Natural logarithm of the growth in a mesh period. Neighbours on a torus separate in proportion to the time
-# at most, which over n periods looks like ln(n) / n: below 0.01 from 650 periods on.
+# at most: between 50 and 300 periods by ln(6) / 250 = 0.007 in each.
 GROWTH_LIMIT: Final = 0.01
 
 
@@ -162,9 +164,11 @@ def periodicity(section: NDArray[np.float64], hunting: int, width: float) -> Per
     The surface of each tooth is another. A motion that follows the mesh therefore does not come back to one
     point of the section: it visits ``hunting`` points in one cloud, and repeats after the hunting cycle. The
     motion is called *k-T* if k is the smallest number, up to LONGEST_PERIOD, for which each of the k
-    sub-sections of every k-th point is a cloud no wider in DTE than ``width``. Each sub-section has at least
-    MIN_CLOUD points, so that a short section shows short periods only. Without such k the motion has no
-    period.
+    sub-sections of every k-th point is a cloud no wider in DTE than ``width`` and, unless k is 1, than
+    WIDEST_CLOUD of the section. Each sub-section has at least MIN_CLOUD points, so that a short section shows
+    short periods only. Without such k the motion has no period. Where k divides ``hunting`` and the section
+    is hardly wider than ``width``, the period may be one of the surfaces: with a ratio of 1.5 of their waves
+    they almost repeat after 2, 4 and 8 teeth.
 
     A k-T motion *repeats* if DTE is the same after the least common multiple of k and ``hunting`` (after
     ``hunting`` if there is no k), within SETTLED of its largest magnitude, throughout the section,
@@ -181,7 +185,7 @@ def periodicity(section: NDArray[np.float64], hunting: int, width: float) -> Per
     period, cloud = 0, spread
     for k in range(1, min(LONGEST_PERIOD, len(dte) // MIN_CLOUD) + 1):
         widest = max(float(np.ptp(dte[start::k])) for start in range(k))
-        if widest <= width:
+        if widest <= (width if k == 1 else min(width, WIDEST_CLOUD * spread)):
             period, cloud = k, widest
             break
     error = _change_after(dte, math.lcm(max(period, 1), hunting))

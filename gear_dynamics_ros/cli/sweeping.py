@@ -130,17 +130,20 @@ def _progress(line: ProgressLine, total: int) -> Callable[[int], None]:
 
 def _finish(folder: SweepFolder) -> int:
     """Write the dataset and the figures, tell what they hold; returns the number of points done."""
+    from gear_dynamics_ros.sweeps.pictures import draw_figures
     from gear_dynamics_ros.sweeps.point import DONE
     from gear_dynamics_ros.sweeps.store import NOT_COMPUTED
 
     dataset = folder.dataset()
     path = folder.write_dataset(dataset)
+    pictures = draw_figures(dataset, folder.path)
     states = [str(state) for state in dataset["status"].values.ravel()]
     done = len(states) - states.count(NOT_COMPUTED)
     ended = [state for state in states if state not in (DONE, NOT_COMPUTED)]
     for state in sorted(set(ended), key=ended.index)[:WARNED_POINTS]:
         print(f"sweep: warning: {ended.count(state)} of the points gave nothing: {state}", file=sys.stderr)
     print(f"{path}: {done} of {len(states)} points, {len(ended)} of which ended early")
+    print(f"{len(pictures)} figures in {folder.path}")
     return done
 
 

@@ -119,19 +119,28 @@ class AnswerSender:
 class Spacing:
     """When the answers of one service are due: at once, or ``SPACING`` after another to a simultaneous call.
 
-    A client that waits for each answer gets it at once.
+    A client that waits for each answer gets it at once. It is told by the number of its request, one more
+    than that of the request before: clients number their requests each for themselves. Time does not tell it:
+    of several clients in one program, each may send its request after the one before was answered, and none
+    has read an answer yet.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._last = 0.0  # when the last answer is due, monotonic time, s
+        self._number = 0  # of the request that it answers
 
-    def due(self, received_ns: int) -> float:
-        """Monotonic time, s, at which to answer a request received at the system time ``received_ns``."""
+    def due(self, received_ns: int, number: int) -> float:
+        """Monotonic time, s, at which to answer request ``number`` of a client.
+
+        It was received at the system time ``received_ns``.
+        """
         with self._lock:
             now = time.monotonic()
             received = now - max(0, time.time_ns() - received_ns) * 1e-9
-            self._last = now if received > self._last else max(now, self._last + SPACING)
+            waited = received > self._last and number == self._number + 1
+            self._last = now if waited else max(now, self._last + SPACING)
+            self._number = number
             return self._last
 
 
@@ -175,7 +184,8 @@ class DeferredAnswers:
         work.add_done_callback(lambda _: self._put(header, complete_and_send))
 
     def _put(self, header: Any, send: Callable[[], bool]) -> None:
-        self._sender.put(self._spacing.due(header.received_timestamp), send)
+        due = self._spacing.due(header.received_timestamp, header.request_id.sequence_number)
+        self._sender.put(due, send)
 
 
 def is_sent(send: Callable[[], None]) -> bool:

@@ -42,7 +42,7 @@ from gear_dynamics_ros.viewer import Viewer, open_viewer
 
 # The engine takes commands at each edge of a chunk. This is for those that come while it computes nothing:
 # the middleware keeps only COMMAND_DEPTH of them.
-COLLECT_INTERVAL: Final = 0.05  # s
+COLLECT_INTERVAL: Final = 0.1  # s
 
 
 class GearboxNode(LifecycleNode):

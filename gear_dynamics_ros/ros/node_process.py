@@ -70,7 +70,7 @@ def _spin(signals: Signals) -> int:
 
 
 def _executor() -> Executor:
-    """The events executor, if rclpy has it: the other one takes many times as long for a command."""
+    """The events executor, if rclpy has it: the other one takes many times as long for a request."""
     try:
         from rclpy.experimental.events_executor import EventsExecutor
     except ImportError:

@@ -95,7 +95,11 @@ class SeparatedPair:
 
     def distance(self) -> float:
         """Distance of the copy from the reference, relative to half the backlash."""
-        return float(np.linalg.norm(self._difference() / self._scales))
+        return self._size(self._difference())
+
+    def _size(self, change: NDArray[np.float64]) -> float:
+        """Norm of ``change``, SI units, shape (10,)."""
+        return float(np.linalg.norm(change / self._scales))
 
     def rescale(self, distance: float) -> bool:
         """Bring the copy to ``distance`` of the reference.
@@ -105,10 +109,11 @@ class SeparatedPair:
         point between them would be on the wrong side of one of their flags. False also if they coincide, or
         if gear 1 would pass the end of a turn.
         """
-        now = self.distance()
+        difference = self._difference()
+        now = self._size(difference)
         if now == 0.0 or any((self.copy.state[name] != self.reference.state[name]).any() for name in FLAGS):
             return False
-        change = distance / now * self._difference()
+        change = distance / now * difference
         theta1 = self.reference.state["theta1"][0] + self._turn[0] * change[4]
         if not 0.0 <= theta1 < 2.0 * math.pi:
             return False

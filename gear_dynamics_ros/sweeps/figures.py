@@ -33,6 +33,17 @@ WATERFALL_LINES: Final = 30
 WATERFALL_DECADES: Final = 4.0  # of amplitude in a line's height
 WATERFALL_LIFT: Final = 3.0  # height of a line, in distances of lines
 MAP_DECADES: Final = 5.0  # of amplitude in the colours of a map
+START: Final = "start."  # begins the names of what a run's start is varied in
+SAME_MOTION: Final = 0.02  # of the range of DTE: within it two motions that aren't chaotic are the same
+BASIN_COLOURS: Final = (
+    palette.BLUE,
+    palette.SKY,
+    palette.GREEN,
+    palette.YELLOW,
+    palette.PURPLE,
+    palette.GREY,
+    palette.DIM,
+)
 NO_RESULT: Final = "#DDDDDD"
 MODEL_COLOURS: Final = {
     "traditional": palette.BLUE,
@@ -130,6 +141,8 @@ def _figures_over_two(dataset: xr.Dataset) -> dict[str, Callable[[], Figure]]:
     figures: dict[str, Callable[[], Figure]] = {}
     if _has(dataset, "regime", "period"):
         figures["map_regime"] = lambda: regime_map_figure(dataset)
+        if all(swept.name.startswith(START) for swept in swept_quantities(dataset)):
+            figures["basins"] = lambda: basins_figure(dataset)
     for quantity in MAPS:
         if _has(dataset, quantity.variable):
             figures[f"map_{quantity.variable}"] = lambda quantity=quantity: map_figure(  # type: ignore[misc]
@@ -261,8 +274,19 @@ def _classes(dataset: xr.Dataset, direction: str, count: int) -> list[tuple[str,
         return [(name, DIRECTION_COLOURS.get(direction, palette.GREY), np.ones(count, dtype=np.bool_))]
     if "regime" not in dataset:
         return [("", palette.BLUE, np.ones(count, dtype=np.bool_))]
-    regimes = dataset["regime"].to_numpy().astype(str)
+    regimes = _regimes(dataset)
     return [(name, colour, regimes == name) for name, colour in REGIME_COLOURS.items()]
+
+
+def _regimes(dataset: xr.Dataset) -> NDArray[np.str_]:
+    """Name of each point's regime, empty without result."""
+    regime = dataset["regime"]
+    flags = zip(regime.attrs["flag_values"], regime.attrs["flag_meanings"].split(), strict=True)
+    numbers = regime.to_numpy()
+    named = np.full(numbers.shape, "", dtype="U14")
+    for flag, name in flags:
+        named[numbers == flag] = name
+    return named
 
 
 def _dot(values: int) -> float:
@@ -637,7 +661,7 @@ def regime_map_figure(dataset: xr.Dataset) -> Figure:
 
 def _regime_classes(dataset: xr.Dataset) -> xr.DataArray:
     """Index into REGIME_CLASSES of each point, NaN without result."""
-    regimes = dataset["regime"].to_numpy().astype(str)
+    regimes = _regimes(dataset)
     period = _numbers(dataset, "period")
     named = np.where(period > LONGEST_NAMED_PERIOD, LONGEST_NAMED_PERIOD, period - 1.0)
     classes = np.full(regimes.shape, np.nan)
@@ -646,3 +670,77 @@ def _regime_classes(dataset: xr.Dataset) -> xr.DataArray:
     classes[regimes == "quasi-periodic"] = QUASI_PERIODIC
     classes[regimes == "chaotic"] = CHAOTIC
     return xr.DataArray(classes, dims=dataset["regime"].dims)
+
+
+class Attractor(NamedTuple):
+    """A motion that starts lead to."""
+
+    regime: str
+    period: float
+    low: float  # DTE, m
+    high: float
+
+    @property
+    def name(self) -> str:
+        """Kind of motion, and its range of DTE."""
+        kind = f"{self.period:.0f}-T" if self.regime == "periodic" and self.period > 0.0 else self.regime
+        return f"{kind}\n{MICRO * self.low:.1f} to {MICRO * self.high:.1f} µm"
+
+
+@styled
+def basins_figure(dataset: xr.Dataset) -> Figure:
+    """Which motion each start leads to, a panel a model: the basins of the attractors, over two start values.
+
+    Two motions of the same period are the same if least and largest DTE agree within SAME_MOTION of the range
+    of DTE; all chaotic motions count as one. The legends give the range of DTE of the first of each.
+    """
+    across, along = swept_quantities(dataset)
+    models, directions = _models(dataset), _directions(dataset)
+    figure = Figure(figsize=(WIDTH, 3.6 * len(models) * len(directions) + 0.6), layout="constrained")
+    axes = figure.subplots(len(models) * len(directions), 1, sharex=True, squeeze=False)[:, 0]
+    panels = [(model, direction) for model in models for direction in directions]
+    for axis, (model, direction) in zip(axes, panels, strict=True):
+        chosen = _select(dataset, model, direction).transpose(across.name, along.name, ...)
+        attractors, basin = find_attractors(chosen)
+        colours = [_basin_colour(attractor, number) for number, attractor in enumerate(attractors)]
+        norm = BoundaryNorm(np.arange(-0.5, len(colours) + 0.6), len(colours) + 1)
+        shades = ListedColormap([*colours, NO_RESULT])
+        _draw_map(axis, across.positions, along.positions, basin, norm, shades)
+        patches = [Patch(color=c, label=a.name) for c, a in zip(colours, attractors, strict=True)]
+        if np.isnan(basin).any():
+            patches.append(Patch(color=NO_RESULT, label="no result"))
+        _outside_legend(axis, handles=patches)
+        axis.set_title(f"{model}: motion that each start leads to, and its range of DTE")
+        axis.set_ylabel(_row_label(along.label, direction))
+    axes[-1].set_xlabel(across.label)
+    return figure
+
+
+def _basin_colour(attractor: Attractor, number: int) -> str:
+    if attractor.regime == "chaotic":
+        return palette.ORANGE
+    return BASIN_COLOURS[number % len(BASIN_COLOURS)]
+
+
+def find_attractors(dataset: xr.Dataset) -> tuple[list[Attractor], NDArray[np.float64]]:
+    """The motions of ``dataset``, and the index of that of each point, of its shape; NaN without result."""
+    low, high, period = (_numbers(dataset, name) for name in ("dte_min", "dte_max", "period"))
+    regimes = _regimes(dataset)
+    tolerance = SAME_MOTION * float(np.nanmax(high) - np.nanmin(low))
+    found: list[Attractor] = []
+    basin = np.full(low.shape, np.nan)
+    for point in zip(*np.nonzero(regimes != ""), strict=True):
+        motion = Attractor(str(regimes[point]), float(period[point]), float(low[point]), float(high[point]))
+        known = (number for number, other in enumerate(found) if _is_same(motion, other, tolerance))
+        number = next(known, len(found))
+        if number == len(found):
+            found.append(motion)
+        basin[point] = number
+    return found, basin
+
+
+def _is_same(motion: Attractor, other: Attractor, tolerance: float) -> bool:
+    if "chaotic" in (motion.regime, other.regime):
+        return motion.regime == other.regime
+    apart = max(abs(motion.low - other.low), abs(motion.high - other.high))
+    return motion[:2] == other[:2] and apart <= tolerance

@@ -139,6 +139,15 @@ def test_a_motion_wider_than_its_surface_that_repeats_has_no_period() -> None:
     assert found.cloud == found.spread
 
 
+def test_some_teeth_that_scatter_less_than_all_are_no_period() -> None:
+    """Every fourth of 40 teeth is one of ten, whose spread is smaller by chance."""
+    scatter = tooth_scatter(800, 1.3)
+    quarters = max(np.ptp(scatter[start::4]) for start in range(4))
+    assert quarters < np.ptp(scatter)
+    found = chaos.periodicity(section(20.0 + scatter), TEETH, MICRO * 0.5 * (quarters + np.ptp(scatter)))
+    assert (found.period, found.repeats) == (0, True)
+
+
 @pytest.mark.parametrize("size", [0.4, 5.0])
 def test_a_quasi_periodic_motion_does_not_repeat(size: float) -> None:
     """Narrower than the surface it is 1-T in the sense of the section."""

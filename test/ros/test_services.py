@@ -224,6 +224,19 @@ def test_a_burst_of_calls_to_the_life_cycle_is_answered(gearbox: Process, caller
         caller.answers([client.call_async(kind.Request()) for _ in range(60)])
 
 
+def test_sixteen_clients_that_ask_while_the_node_configures_are_all_answered(
+    ros_domain: int, process: StartProcess, caller: Caller
+) -> None:
+    start_gearbox(process, "autostart:=false")
+    clients = [caller.client(GetState, "get_state") for _ in range(16)]
+    change = caller.client(ChangeState, "change_state")
+    configure = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CONFIGURE))
+    changed = change.call_async(configure)
+    states = [client.call_async(GetState.Request()) for client in clients]
+    assert caller.answers([changed])[0].success
+    assert {answer.current_state.label for answer in caller.answers(states)} <= {"unconfigured", "inactive"}
+
+
 def test_the_life_cycle_tells_its_transitions(gearbox: Process, caller: Caller) -> None:
     by_label = ChangeState.Request(transition=Transition(label="deactivate"))
     by_id = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVATE))
@@ -301,14 +314,20 @@ def test_only_answers_of_one_service_to_simultaneous_calls_are_spaced(
     monkeypatch.setattr(time, "time_ns", lambda: round(now.system * 1e9))
     pause, step = Spacing(), Spacing()
     received = round(now.system * 1e9)
-    assert [pause.due(received) for _ in range(3)] == pytest.approx(
+    assert [pause.due(received, 7) for _ in range(3)] == pytest.approx(
         [100.0, 100.0 + SPACING, 100.0 + 2.0 * SPACING]
     )
-    assert step.due(received) == 100.0
+    assert step.due(received, 7) == 100.0
     now.monotonic, now.system = 200.0, 1_100.0
-    assert pause.due(round(now.system * 1e9)) == 200.0
+    assert pause.due(round(now.system * 1e9), 7) == 200.0
+    now.monotonic, now.system = 200.001, 1_100.001
+    received = round(now.system * 1e9)
+    assert pause.due(received, 8) == 200.001, "the client that was answered calls again"
+    now.monotonic, now.system = 200.002, 1_100.002
+    received = round(now.system * 1e9)
+    assert pause.due(received, 8) == 200.001 + SPACING, "another client calls"
     now.monotonic, now.system = 300.0, 50.0  # the system's clock was set back
-    assert pause.due(round(1_200.0 * 1e9)) == 300.0
+    assert pause.due(round(1_200.0 * 1e9), 7) == 300.0
 
 
 def test_a_checkpoint_file_that_is_none_is_answered(gearbox: Process, caller: Caller, tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from gear_dynamics_ros.sweeps import figures, labels
 MODELS = ["traditional", "compared", "improved"]
 KEPT, PER_ORDER = 60, 20
 RPM = np.linspace(2000.0, 18000.0, 33)
+REGIME_FLAGS = {"flag_values": np.arange(3.0), "flag_meanings": "periodic quasi-periodic chaotic"}
 SCALARS = {
     "dte_min": "m",
     "dte_max": "m",
@@ -57,10 +58,9 @@ def made(coordinates: dict[str, Any], lengths: dict[str, int]) -> xr.Dataset:
     }
     variables["lyapunov"][1][...] -= 1000.0
     variables["period"][1][...] = np.floor(6.0 * variables["period"][1])
-    regimes = np.array(["periodic", "quasi-periodic", "chaotic", ""], dtype=object)
-    regime = regimes[generator.integers(0, 3, shape)]
-    regime[lost] = ""
-    variables["regime"] = (dims, regime)
+    regime = generator.integers(0, 3, shape).astype(np.float64)
+    regime[lost] = np.nan
+    variables["regime"] = (dims, regime, REGIME_FLAGS)
     variables["section_dte"] = ([*dims, "section"], 4e-5 * values(KEPT), {"units": "m"})
     spectrum = 1e-5 * 10.0 ** (-5.0 * values(5 * PER_ORDER + 1))
     variables["dte_spectrum"] = ([*dims, "order"], spectrum, {"units": "m"})
@@ -203,7 +203,7 @@ def test_the_map_of_regimes_names_those_that_occur(over_two: xr.Dataset) -> None
     figure = figures.regime_map_figure(over_two)
     assert set(legend(figure, 2)) == {*figures.REGIME_CLASSES, "no result"}
     periodic = over_two.assign(
-        regime=over_two["regime"].where(over_two["period"].isnull(), "periodic"),
+        regime=over_two["regime"].where(over_two["period"].isnull(), 0.0),
         period=over_two["period"].where(over_two["period"].isnull(), 2.0),
     )
     assert legend(figures.regime_map_figure(periodic), 2) == ["2-T", "no result"]
@@ -240,6 +240,32 @@ def test_values_in_any_order_are_drawn_in_rising_order(over_speed: xr.Dataset) -
     (x, y) = (np.asarray(data, dtype=float) for data in figure.axes[0].get_lines()[0].get_data())
     np.testing.assert_allclose(x, RPM)
     np.testing.assert_allclose(y, over_speed["ldmf"].sel(model="traditional"))
+
+
+def test_basins_are_those_of_the_motions() -> None:
+    """Two periodic motions beside chaos, one start without result."""
+    places = ("start.dte", 1e-6 * np.arange(6.0), {"units": "m"})
+    rates = ("start.dte_rate", 0.1 * np.arange(5.0), {"units": "m/s"})
+    dataset = made(
+        {"model": MODELS[2:], "start.dte": places, "start.dte_rate": rates},
+        {"model": 1, "start.dte": 6, "start.dte_rate": 5},
+    )
+    expected = np.zeros((6, 5))
+    expected[2:, 1:], expected[4:, 3:], expected[0, 3] = 1.0, 2.0, np.nan
+    numbers = {"dte_min": [17e-6, 5e-6, -9e-6], "dte_max": [40e-6, 44e-6, 60e-6]}
+    numbers |= {"period": [1.0, 2.0, 0.0], "regime": [0.0, 0.0, 2.0]}
+    lost = np.isnan(expected)
+    index = np.where(lost, 0.0, expected).astype(int)
+    for name, values in numbers.items():
+        jitter = np.random.default_rng(3).uniform(-2e-7, 2e-7, index.shape) if name.startswith("dte") else 0.0
+        dataset[name][0] = np.where(lost, np.nan, np.array(values)[index] + jitter)
+    attractors, basin = figures.find_attractors(dataset.isel(model=0))
+    np.testing.assert_array_equal(basin, expected)
+    assert [attractor.regime for attractor in attractors] == ["periodic", "periodic", "chaotic"]
+    figure = figures.sweep_figures(dataset)["basins"]()
+    kinds = [text.split("\n")[0] for text in legend(figure, 0)]
+    assert kinds == ["1-T", "2-T", "chaotic", "no result"]
+    assert texts(figure) == {"start.dte (µm)", "start.dte_rate (m/s)"}
 
 
 def test_names_are_swept_as_names() -> None:

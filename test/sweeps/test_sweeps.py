@@ -206,6 +206,7 @@ def test_the_command_writes_a_dataset(tmp_path: Path, capsys: pytest.CaptureFixt
     assert f"{output}/sweep.nc: 10 of 10 points, 0 of which ended early" in capsys.readouterr().out
     with xr.open_dataset(output / "sweep.nc") as stored:
         np.testing.assert_array_equal(stored["dte_max"], run(plan())["dte_max"])
+    assert (output / "bifurcation.png").stat().st_size > 10_000
     assert sweep_main([*OPTIONS, "--models", "traditional,compared", "--output", str(output)]) == 2
 
 
