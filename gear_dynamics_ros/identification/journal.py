@@ -94,7 +94,8 @@ class FitJournal:
     def append(self, batch: Batch) -> None:
         """Store a batch, which has ``points``, behind the others. Raises GearboxError if that fails."""
         with output_file(_batch_path(self.folder, self._next)) as stream:
-            np.savez(stream, allow_pickle=False, **batch)
+            arrays: dict[str, Any] = dict(batch)
+            np.savez(stream, **arrays)
         self._next += 1
         self._known = max(self._known, self._next)
 
