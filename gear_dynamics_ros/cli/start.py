@@ -39,6 +39,11 @@ def sweep() -> int:
     return _run_main("sweep", "sweeping")
 
 
+def identify() -> int:
+    """Run ``identify``."""
+    return _run_main("identify")
+
+
 def _run_main(name: str, module: str = "") -> int:
     open_streams()
     try:

@@ -17,6 +17,8 @@ COMMANDS: Final = [
     ["replay"],
     *(["replay", verb] for verb in REPLAY_VERBS),
     ["analyze"],
+    ["sweep"],
+    ["identify"],
     ["urdf"],
 ]
 CALL: Final = """

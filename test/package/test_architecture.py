@@ -29,6 +29,7 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
     "replay": {"contract", "system", "parameters", "messages", "simulation", "recording", "analysis"},
     "reporting": {"contract", "system", "recording", "analysis"},
     "sweeps": {"contract", "system", "parameters", "physics", "simulation", "analysis"},
+    "identification": {"contract", "system", "parameters", "simulation", "recording", "sweeps"},
     "harness": {"contract", "system", "parameters"},
     "ros": {
         "contract",
@@ -54,6 +55,7 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
         "reporting",
         "sweeps",
         "harness",
+        "identification",
         "ros",
     },
     "urdf": {"contract", "system", "parameters", "physics", "messages", "cli"},

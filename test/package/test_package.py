@@ -25,13 +25,14 @@ from support.paths import ROOT
 from support.processes import executable
 
 PACKAGE = "gear_dynamics_ros"
-EXECUTABLES = ("analyze", "drive", "gearbox", "replay", "simulate", "sweep")
+EXECUTABLES = ("analyze", "drive", "gearbox", "identify", "replay", "simulate", "sweep")
 SHARED = (
     "package.xml",
     "config/fastdds_local.xml",
     "config/gearbox.yaml",
     "config/paper.yaml",
     "config/profiles/demo.yaml",
+    "examples/identify_clearance.py",
     "examples/speed_controller.py",
     "launch/gearbox.launch.py",
     "sros2/policy.xml",
