@@ -39,6 +39,11 @@ def sweep() -> int:
     return _run_main("sweep", "sweeping")
 
 
+def reproduce() -> int:
+    """Run ``reproduce``."""
+    return _run_main("reproduce")
+
+
 def _run_main(name: str, module: str = "") -> int:
     open_streams()
     try:

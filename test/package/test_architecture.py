@@ -29,6 +29,7 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
     "replay": {"contract", "system", "parameters", "messages", "simulation", "recording", "analysis"},
     "reporting": {"contract", "system", "recording", "analysis"},
     "sweeps": {"contract", "system", "parameters", "physics", "simulation", "analysis"},
+    "paper": {"contract", "system", "parameters", "physics", "simulation", "analysis", "sweeps"},
     "harness": {"contract", "system", "parameters"},
     "ros": {
         "contract",
@@ -53,6 +54,7 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
         "replay",
         "reporting",
         "sweeps",
+        "paper",
         "harness",
         "ros",
     },
@@ -62,7 +64,7 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
 HOMES: Final[dict[str, tuple[str, ...]]] = {
     "rclpy": ("ros/*.py",),
     "rerun": ("viewer/*.py",),
-    "matplotlib": ("analysis/figures.py",),
+    "matplotlib": ("analysis/figures.py", "paper/figures.py"),
     "dask": (),
     "distributed": ("sweeps/workers.py",),
     "xarray": ("sweeps/*.py",),
