@@ -138,8 +138,8 @@ def sections(before: str) -> list[Section]:
         Section(RECORDINGS, "Model improved, gearbox.yaml, unless said otherwise.", recordings.tables),
         Section(
             SWEEPS,
-            f"config/paper.yaml, {sweep_speed.SPEEDS} speeds from 2000 to 18000 rpm, 4000 periods of the mesh "
-            "in 100 steps each. Below: the median over speeds and models of what coarser steps change, beside "
+            f"config/paper.yaml, {sweep_speed.SPEEDS} speeds from 2000 to 18000 rpm, 4000 mesh periods in "
+            "100 steps each. Below: the median over speeds and models of what coarser steps change, beside "
             f"{sweep_speed.FINE} steps per period; chaotic points differ by their statistics too.",
             sweep_speed.tables,
         ),
@@ -154,7 +154,7 @@ def sections(before: str) -> list[Section]:
         ),
         Section(
             "Processor time of the node",
-            "As before, in chunks of 2 ms; shares of one core by thread. `main` takes commands and serves.",
+            "As before, in chunks of 2 ms; shares of one core by thread. `main` serves.",
             latency.processor_time,
         ),
         Section(

@@ -110,14 +110,15 @@ def beside(commit: str) -> list[str]:
     lines = [f"| ms | {commit[:7]} | today | ratio | goal |", "|---|---|---|---|---|"]
     with sources(commit) as found:
         for model in MODELS:
-            measured = in_turns(found, lambda source, model=model: printed(source, COMPUTE, model))
-            lines.append(row(f"engine, {model}, processor time for 1 s", measured))
+            engine = in_turns(found, lambda source, model=model: printed(source, COMPUTE, model))
+            lines.append(row(f"engine, {model}, processor time for 1 s", engine))
         measured = in_turns(found, lambda source: printed(source, AROUND))
         lines.append(row("a chunk of 2 ms beside the kernel, nobody listening", measured))
         for state, goal in AIMED_AT.items():
             measured = in_turns(found, lambda source, state=state: node_share(source, state))
             name = f"node, recording and Rerun {state}, processor time for 1 s"
             lines.append(row(name, measured, goal))
+            lines.append(row(f"of it beside the engine, {model}", beside_engine(measured, engine)))
         parameters = load_parameters(SOURCE / "config" / "gearbox.yaml", [])
         measured = in_turns(found, lambda source: late_response(source, parameters))
         lines.append(row("node, latency of a command, p99", measured))
@@ -127,6 +128,11 @@ def beside(commit: str) -> list[str]:
 def in_turns(found: Mapping[str, Path], measure: Callable[[Path], float]) -> list[list[float]]:
     """What ``measure`` gives of each source in each turn, (TURNS, sources)."""
     return [[measure(source) for source in found.values()] for _ in range(TURNS)]
+
+
+def beside_engine(node: list[list[float]], engine: list[list[float]]) -> list[list[float]]:
+    """What the node of each source takes in each turn beyond the median of its engine, (TURNS, sources)."""
+    return (np.array(node) - np.median(engine, axis=0)).tolist()
 
 
 def row(name: str, measured: list[list[float]], goal: float | None = None) -> str:

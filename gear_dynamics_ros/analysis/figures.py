@@ -106,7 +106,7 @@ OVERVIEW_PANELS: Final = (
 )
 
 
-def _styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
+def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
     """``draw`` with FIGURE_STYLE in force while it runs."""
 
     def wrapper(*args: Any, **keywords: Any) -> Figure:
@@ -149,7 +149,7 @@ def write_png(figure: Figure, stream: BinaryIO) -> None:
     figure.savefig(stream, format="png")
 
 
-@_styled
+@styled
 def overview_figure(envelope: Envelope, changes: Sequence[float], window: tuple[float, float]) -> Figure:
     """The whole run: minimum and maximum of each quantity over time.
 
@@ -211,7 +211,7 @@ def _overview_title(changes: int) -> str:
     return f"Whole run ({marks}green: window of the other figures)"
 
 
-@_styled
+@styled
 def time_series_figure(samples: Samples, parameters: Parameters) -> Figure:
     """The last mesh periods of a window, sample by sample: DTE and flanks, mesh force, bearing forces.
 
@@ -272,7 +272,7 @@ def _periods_title(shown: Samples) -> str:
     return f"Last {periods:.0f} mesh periods of the window (mesh frequency {KILO * abs(mesh):.3f} kHz)"
 
 
-@_styled
+@styled
 def spectrum_figure(samples: Samples) -> Figure:
     """Amplitude spectrum of the DTE, with orders of the mesh frequency on top.
 
@@ -318,7 +318,7 @@ def _mesh_orders(axis: Axes, mesh: float, limit: float) -> None:
     above.tick_params(colors=palette.ORANGE)
 
 
-@_styled
+@styled
 def phase_portrait_figure(samples: Samples) -> Figure:
     """DTE rate over DTE, with the points where the mesh phase wraps. Needs the channels dte and dte_rate."""
     figure = Figure(figsize=(7.4, 5.4), layout="constrained")
@@ -371,7 +371,7 @@ def _mark_flanks(axis: Axes, samples: Samples) -> None:
             )
 
 
-@_styled
+@styled
 def orbits_figure(samples: Samples, parameters: Parameters) -> Figure:
     """Path of each journal's centre in its clearance circle, and in the oil clearance where a film acts.
 
@@ -435,7 +435,7 @@ def _close_view(path: NDArray[np.float64]) -> tuple[tuple[float, float], float]:
     return (x, y), max(MIN_HALF_SIDE, 0.65 * float((high - low).max()))
 
 
-@_styled
+@styled
 def bearing_force_figure(samples: Samples) -> Figure:
     """Contact force over penetration of each bearing: the area of a loop is the energy dissipated.
 
@@ -468,7 +468,7 @@ class Overlay(NamedTuple):
     marked: float
 
 
-@_styled
+@styled
 def divergence_figure(
     envelope: Envelope,
     differences: Mapping[str, ChannelDifference],

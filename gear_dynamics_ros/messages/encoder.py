@@ -119,6 +119,7 @@ class Encoder:
             "waveform": lambda chunk, _: self._waveform.pack(self._selected(chunk.samples)),
         }
         self._joint_state = _StampedMessage(_joints_at_rest(self._joints), _JOINT_NUMBERS)
+        self._applied = _StampedMessage(_no_commands(self._shafts), _APPLIED_NUMBERS)
         self._bearings = {
             gear: _StampedMessage(_zero_wrench(bearing_frame(prefix, gear)), _FORCE_AND_TORQUE)
             for gear in ("driving", "driven")
@@ -144,14 +145,7 @@ class Encoder:
     def applied(self, commands: Commands, sample: int) -> Record:
         """Message of ``commands``, in force from ``sample`` on."""
         time_ns = self._epoch_ns + sample * self._interval_ns
-        message = joint_state(
-            time_ns,
-            self._shafts,
-            (),
-            (commands.speed, math.nan),
-            (commands.drive_torque, commands.load_torque),
-        )
-        return Record("applied_command", time_ns, serialize(JOINT_STATE, message))
+        return Record("applied_command", time_ns, self._applied.pack(time_ns, *_applied_numbers(commands)))
 
     def event(
         self, kind: str, sample: int, message: str, counters: Counters, **details: Mapping[str, Any]
@@ -248,6 +242,8 @@ _CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 _STAMP_END = len(_CDR_LITTLE_ENDIAN) + 8
 # Position, velocity and effort; before the last two their number of entries, padded to eight bytes.
 _JOINT_NUMBERS = "3dQ3dQ3d"
+# Velocity and effort of two shafts; before the last its number of entries, padded to eight bytes.
+_APPLIED_NUMBERS = "2dQ2d"
 _FORCE_AND_TORQUE = "6d"
 _OTHER_COMPONENTS = (0.0,) * 4  # force along z, torques
 
@@ -271,6 +267,16 @@ def _header(time_ns: int, frame_id: str) -> Any:
 def _joints_at_rest(joints: Sequence[str]) -> bytes:
     zeros = [0.0] * len(joints)
     return serialize(JOINT_STATE, joint_state(0, joints, zeros, zeros, zeros))
+
+
+def _applied_numbers(commands: Commands) -> tuple[float, ...]:
+    effort = (commands.drive_torque, commands.load_torque)
+    return (commands.speed, math.nan, len(effort), *effort)
+
+
+def _no_commands(shafts: Sequence[str]) -> bytes:
+    zeros = [0.0] * len(shafts)
+    return serialize(JOINT_STATE, joint_state(0, shafts, (), zeros, zeros))
 
 
 def _zero_wrench(frame_id: str) -> bytes:

@@ -50,7 +50,7 @@ NEAR_RESTITUTION: Final = 0.03  # of the peaks of figure 8
 GEAR: Final = "driving"  # gears and bearings are equal
 
 
-class Check(NamedTuple):
+class ClaimCheck(NamedTuple):
     """One part of a claim: what is compared, with its numbers, and whether it is as claimed."""
 
     text: str
@@ -69,10 +69,10 @@ class Claim(NamedTuple):
 
     number: int
     text: str
-    checks: Callable[[PaperResults], Sequence[Check]]
+    checks: Callable[[PaperResults], Sequence[ClaimCheck]]
 
 
-def judge(checks: Sequence[Check]) -> Judgement:
+def judge(checks: Sequence[ClaimCheck]) -> Judgement:
     """The judgement that all checks of a claim make together."""
     passed = [check.passed for check in checks]
     holds: bool | str = all(passed) or (MIXED if any(passed) else False)
@@ -107,7 +107,7 @@ def _earlier(speed: float | None, other: float | None) -> bool:
     return speed is not None and (other is None or speed < other)
 
 
-def chaos_of_the_new_bearing(results: PaperResults) -> Sequence[Check]:
+def chaos_of_the_new_bearing(results: PaperResults) -> Sequence[ClaimCheck]:
     """Claim 1."""
     scans = _scans(results)
     old, new = scans["traditional"], scans["compared"]
@@ -116,26 +116,26 @@ def chaos_of_the_new_bearing(results: PaperResults) -> Sequence[Check]:
     lengths = [_dte_length(scan) for scan in (new, old)]
     middle = [PERCENT * _chaotic_share(_middle(scan)) for scan in (new, old)]
     return [
-        Check(
+        ClaimCheck(
             f"chaos begins at {_rpm(begins[0])} in compared, {_rpm(begins[1])} in traditional",
             _earlier(*begins),
         ),
-        Check(
+        ClaimCheck(
             f"{shares[0]:.0f} % of the speeds are chaotic in compared, {shares[1]:.0f} %",
             shares[0] > shares[1],
         ),
-        Check(
+        ClaimCheck(
             f"DTE ranges over {lengths[0]:.1f} um in compared, {lengths[1]:.1f} um in traditional (means)",
             lengths[0] > lengths[1],
         ),
-        Check(
+        ClaimCheck(
             f"from 6000 to 12000 rpm {middle[0]:.0f} % against {middle[1]:.0f} % are chaotic",
             middle[0] > middle[1],
         ),
     ]
 
 
-def order_by_the_film(results: PaperResults) -> Sequence[Check]:
+def order_by_the_film(results: PaperResults) -> Sequence[ClaimCheck]:
     """Claim 2."""
     scans = _scans(results)
     with_film, without = scans["improved"], scans["compared"]
@@ -146,19 +146,19 @@ def order_by_the_film(results: PaperResults) -> Sequence[Check]:
         if is_chaotic(b) and not is_chaotic(a) and a.regime == "periodic"
     ]
     return [
-        Check(
+        ClaimCheck(
             f"{shares[0]:.0f} % of the speeds are chaotic in improved, {shares[1]:.0f} % in compared",
             shares[0] < shares[1],
         ),
-        Check(f"at {len(tamed)} speeds chaos of compared is periodic with the film", bool(tamed)),
+        ClaimCheck(f"at {len(tamed)} speeds chaos of compared is periodic with the film", bool(tamed)),
     ]
 
 
-def fluctuation_of_dte(results: PaperResults) -> Sequence[Check]:
+def fluctuation_of_dte(results: PaperResults) -> Sequence[ClaimCheck]:
     """Claim 3."""
     lengths = {model: _dte_length(scan) for model, scan in _scans(results).items()}
     return [
-        Check(
+        ClaimCheck(
             f"DTE ranges over {lengths[model]:.1f} um in {model}, {lengths['traditional']:.1f} um in "
             "traditional (means over speed)",
             lengths[model] > lengths["traditional"],
@@ -167,7 +167,7 @@ def fluctuation_of_dte(results: PaperResults) -> Sequence[Check]:
     ]
 
 
-def back_flanks(results: PaperResults) -> Sequence[Check]:
+def back_flanks(results: PaperResults) -> Sequence[ClaimCheck]:
     """Claim 4."""
     scans = _scans(results)
     found = {model: first_back_flank(scan) for model, scan in scans.items()}
@@ -181,32 +181,32 @@ def back_flanks(results: PaperResults) -> Sequence[Check]:
     }
     return [
         *(
-            Check(
+            ClaimCheck(
                 f"back flanks first touch at {_rpm(first[model])} in {model}, "
                 f"{_rpm(first['traditional'])} in traditional",
                 _earlier(first[model], first["traditional"]),
             )
             for model in ("compared", "improved")
         ),
-        Check(
+        ClaimCheck(
             f"largest share of compared from 6000 to 12000 rpm is {PERCENT * largest['compared']:.3f} %",
             largest["compared"] >= CLEAR_SHARE,
         ),
-        Check(
+        ClaimCheck(
             f"largest share of traditional from 6000 rpm is {PERCENT * largest['traditional']:.3f} %",
             largest["traditional"] < CLEAR_SHARE,
         ),
     ]
 
 
-def fluctuation_of_shares(results: PaperResults) -> Sequence[Check]:
+def fluctuation_of_shares(results: PaperResults) -> Sequence[ClaimCheck]:
     """Claim 5."""
     changes = {
         model: PERCENT * float(np.nanmean(np.abs(np.diff(column(scan, "drive_share")))))
         for model, scan in _scans(results).items()
     }
     return [
-        Check(
+        ClaimCheck(
             f"from speed to speed the drive-flank share changes by {changes[model]:.2f} % in {model}, "
             f"{changes['traditional']:.2f} % in traditional (means)",
             changes[model] > changes["traditional"],
@@ -215,38 +215,42 @@ def fluctuation_of_shares(results: PaperResults) -> Sequence[Check]:
     ]
 
 
-def largest_mesh_force(results: PaperResults) -> Sequence[Check]:
+def largest_mesh_force(results: PaperResults) -> Sequence[ClaimCheck]:
     """Claim 6."""
     ldmf = {model: column(scan, "ldmf") for model, scan in _scans(results).items()}
     means = {model: float(np.nanmean(values)) for model, values in ldmf.items()}
     known = ~np.isnan(ldmf["improved"] + ldmf["compared"])
     lower = float(np.mean((ldmf["improved"] < ldmf["compared"])[known])) if known.any() else 0.0
     return [
-        Check(
+        ClaimCheck(
             f"mean LDMF is {means['compared']:.2f} in compared, {means['traditional']:.2f} in traditional",
             means["compared"] > means["traditional"],
         ),
-        Check(f"mean LDMF is {means['improved']:.2f} with the film", means["improved"] < means["compared"]),
-        Check(f"the film lowers it at {PERCENT * lower:.0f} % of the speeds", lower >= MOST_SPEEDS),
+        ClaimCheck(
+            f"mean LDMF is {means['improved']:.2f} with the film", means["improved"] < means["compared"]
+        ),
+        ClaimCheck(f"the film lowers it at {PERCENT * lower:.0f} % of the speeds", lower >= MOST_SPEEDS),
     ]
 
 
-def regimes_with_bearing_and_film(results: PaperResults) -> Sequence[Check]:
+def regimes_with_bearing_and_film(results: PaperResults) -> Sequence[ClaimCheck]:
     """Claim 7."""
     found = {model: results.at(f"{model} at 16500 rpm") for model in MODELS}
     lines = {model: MICRO * between_orders(result) for model, result in found.items()}
     expected = {"traditional": "periodic", "compared": "chaotic", "improved": "periodic"}
     return [
         *(
-            Check(f"{model} is {found[model].regime} at 16500 rpm", found[model].regime == regime)
+            ClaimCheck(f"{model} is {found[model].regime} at 16500 rpm", found[model].regime == regime)
             for model, regime in expected.items()
         ),
-        Check(
+        ClaimCheck(
             f"between the orders DTE has {lines['compared']:.2f} um (rms) in compared, "
             f"{lines['traditional']:.2f} um in traditional",
             lines["compared"] > lines["traditional"],
         ),
-        Check(f"{lines['improved']:.2f} um with the film", lines["improved"] < FAR_FEWER * lines["compared"]),
+        ClaimCheck(
+            f"{lines['improved']:.2f} um with the film", lines["improved"] < FAR_FEWER * lines["compared"]
+        ),
     ]
 
 
@@ -261,7 +265,7 @@ def between_orders(result: CaseResult) -> float:
 ORDER_WIDTH: Final = 0.03  # half width of a line at a whole order
 
 
-def separation_from_the_sleeve(results: PaperResults) -> Sequence[Check]:
+def separation_from_the_sleeve(results: PaperResults) -> Sequence[ClaimCheck]:
     """Claim 8."""
     ranges = {model: penetration_range(results.at(f"{model} at 16500 rpm")) for model in MODELS}
     means = {
@@ -269,22 +273,22 @@ def separation_from_the_sleeve(results: PaperResults) -> Sequence[Check]:
         for model in MODELS
     }
     old = ranges["traditional"]
-    checks = [Check(f"least penetration of traditional is {MICRO * old.least:.2f} um", old.least > 0.0)]
+    checks = [ClaimCheck(f"least penetration of traditional is {MICRO * old.least:.2f} um", old.least > 0.0)]
     for model in ("compared", "improved"):
         samples = results.waveforms.get(f"{model} at 16500 rpm")
         apart = PERCENT * apart_share(samples, GEAR) if samples else 0.0
         lifts = lifts_per_period(samples, GEAR) if samples else 0.0
         checks += [
-            Check(
+            ClaimCheck(
                 f"{model} is apart for {apart:.1f} % of the time, {lifts:.2f} times a mesh period",
                 ranges[model].least <= 0.0,
             ),
-            Check(
+            ClaimCheck(
                 f"mean penetration is {means['traditional']:.2f} um in traditional, {means[model]:.2f} um in "
                 f"{model}",
                 means["traditional"] > means[model],
             ),
-            Check(
+            ClaimCheck(
                 f"it ranges over {MICRO * old.length:.2f} um and {MICRO * ranges[model].length:.2f} um",
                 old.length < ranges[model].length,
             ),
@@ -292,17 +296,17 @@ def separation_from_the_sleeve(results: PaperResults) -> Sequence[Check]:
     return checks
 
 
-def hysteresis(results: PaperResults) -> Sequence[Check]:
+def hysteresis(results: PaperResults) -> Sequence[ClaimCheck]:
     """Claim 9."""
     waveforms = [results.waveforms.get(f"restitution {eta:g}") for eta in RESTITUTIONS]
     areas = [float("nan") if samples is None else 1e3 * loop_area(samples, GEAR) for samples in waveforms]
     texts = ", ".join(f"{area:.4f}" for area in areas)
     return [
-        Check(
+        ClaimCheck(
             f"at eta 0.2, 0.6, 1 the loop encloses {texts} mJ a mesh period",
             _falls(areas),
         ),
-        Check(
+        ClaimCheck(
             f"at eta 1 it is {PERCENT * abs(areas[-1]) / areas[0]:.2f} % of that at eta 0.2",
             abs(areas[-1]) < CLOSED_LOOP * areas[0],
         ),
@@ -321,7 +325,7 @@ def _list(values: Sequence[float], digits: int = 2) -> str:
     return ", ".join(f"{value:.{digits}f}" for value in values)
 
 
-def dispersion_with_restitution(results: PaperResults) -> Sequence[Check]:
+def dispersion_with_restitution(results: PaperResults) -> Sequence[ClaimCheck]:
     """Claim 10."""
     found = [results.at(f"restitution {eta:g}") for eta in RESTITUTIONS]
     lengths = [MICRO * dte_range(result).length for result in found]
@@ -329,37 +333,37 @@ def dispersion_with_restitution(results: PaperResults) -> Sequence[Check]:
     lines = [MICRO * between_orders(result) for result in found]
     etas = ", ".join(f"{eta:g}" for eta in RESTITUTIONS)
     return [
-        Check(f"DTE ranges over {_list(lengths)} um at eta {etas}", _rises(lengths)),
-        Check(f"the Poincaré points spread over {_list(spreads)} um", _rises(spreads)),
-        Check(f"below the mesh frequency DTE has {_list(lines)} um (rms)", _rises(lines)),
+        ClaimCheck(f"DTE ranges over {_list(lengths)} um at eta {etas}", _rises(lengths)),
+        ClaimCheck(f"the Poincaré points spread over {_list(spreads)} um", _rises(spreads)),
+        ClaimCheck(f"below the mesh frequency DTE has {_list(lines)} um (rms)", _rises(lines)),
     ]
 
 
-def forces_over_restitution(results: PaperResults) -> Sequence[Check]:
+def forces_over_restitution(results: PaperResults) -> Sequence[ClaimCheck]:
     """Claim 11."""
     scan = results.scan(RESTITUTION_SCAN)
     apart = [r.case.restitution or 0.0 for r in scan if r.point.scalars[f"{FORCE}_min"] == 0.0]
     span = f"{len(apart)} of {len(scan)} eta" + (f", from {apart[0]:g} to {apart[-1]:g}" if apart else "")
-    checks = [Check(f"the least bearing force is 0 at {span}", bool(apart))]
+    checks = [ClaimCheck(f"the least bearing force is 0 at {span}", bool(apart))]
     for kind, name in (("largest", "max"), ("mean", "mean")):
         best = greatest_at(scan, f"{FORCE}_{name}")
         eta = None if best is None else best.case.restitution
         near = eta is not None and abs(eta - 0.08) <= NEAR_RESTITUTION
-        checks.append(Check(f"the {kind} force peaks at eta {eta}", near))
+        checks.append(ClaimCheck(f"the {kind} force peaks at eta {eta}", near))
     return checks
 
 
-def effect_of_roughness(results: PaperResults) -> Sequence[Check]:
+def effect_of_roughness(results: PaperResults) -> Sequence[ClaimCheck]:
     """Claim 12."""
     names = [f"roughness {1e6 * roughness:g} um" for roughness in ROUGHNESSES]
     found = [results.at(name) for name in names]
     lengths = [MICRO * dte_range(result).length for result in found]
     angles = [_angle_spread(results, name) for name in names]
     return [
-        Check(f"DTE ranges over {_list(lengths)} um at Ra 0.8, 1.6, 3.2 um", _rises(lengths)),
-        Check(f"the motion at Ra 0.8 um is {found[0].regime}", found[0].regime == "periodic"),
-        Check(f"that at Ra 3.2 um is {found[-1].regime}", found[-1].regime == "chaotic"),
-        Check(f"the pressure angle at mesh phase 0 spreads over {_list(angles, 4)} deg", _rises(angles)),
+        ClaimCheck(f"DTE ranges over {_list(lengths)} um at Ra 0.8, 1.6, 3.2 um", _rises(lengths)),
+        ClaimCheck(f"the motion at Ra 0.8 um is {found[0].regime}", found[0].regime == "periodic"),
+        ClaimCheck(f"that at Ra 3.2 um is {found[-1].regime}", found[-1].regime == "chaotic"),
+        ClaimCheck(f"the pressure angle at mesh phase 0 spreads over {_list(angles, 4)} deg", _rises(angles)),
     ]
 
 
@@ -371,7 +375,7 @@ def _angle_spread(results: PaperResults, name: str) -> float:
     )
 
 
-def effect_of_dimension(results: PaperResults) -> Sequence[Check]:
+def effect_of_dimension(results: PaperResults) -> Sequence[ClaimCheck]:
     """Claim 13."""
     found = [results.at(f"dimension {dimension:g}") for dimension in DIMENSIONS]
     ranges = [dte_range(result) for result in found]
@@ -381,13 +385,13 @@ def effect_of_dimension(results: PaperResults) -> Sequence[Check]:
     by_dimension, by_roughness = (PERCENT * _change(values) for values in (ranges, rough))
     regimes = [str(result.regime) for result in found]
     return [
-        Check(
+        ClaimCheck(
             f"DTE ranges over {_list(lengths)} um at D 1.1, 1.5, 1.9",
             lengths[-1] < lengths[0] and abs(by_dimension) < PERCENT * SLIGHT_CHANGE,
         ),
-        Check(f"the Poincaré points spread over {_list(spreads)} um", _rises(spreads)),
-        Check(f"the motion is {', '.join(regimes)}", set(regimes) == {"periodic"}),
-        Check(
+        ClaimCheck(f"the Poincaré points spread over {_list(spreads)} um", _rises(spreads)),
+        ClaimCheck(f"the motion is {', '.join(regimes)}", set(regimes) == {"periodic"}),
+        ClaimCheck(
             f"over D the range changes by {by_dimension:.1f} %, over Ra by {by_roughness:.1f} %",
             abs(by_roughness) > abs(by_dimension),
         ),
@@ -399,7 +403,7 @@ def _change(ranges: Sequence[MeasuredRange]) -> float:
     return ranges[-1].length / ranges[0].length - 1.0
 
 
-def shape_of_the_profile(results: PaperResults) -> Sequence[Check]:
+def shape_of_the_profile(results: PaperResults) -> Sequence[ClaimCheck]:
     """Claim 14."""
     parameters = results.parameter_set.parameters
     rough, fractal = profiles_over_roughness(parameters), profiles_over_dimension(parameters)
@@ -408,10 +412,10 @@ def shape_of_the_profile(results: PaperResults) -> Sequence[Check]:
     other_counts = [profile.peaks_per_tooth for profile in rough]
     other_heights = [MICRO * profile.peak_height for profile in fractal]
     return [
-        Check(f"peaks are {_list(heights)} um high at Ra 0.8, 1.6, 3.2 um", _rises(heights)),
-        Check(f"their number is {_list(other_counts, 1)} a tooth", _hardly_changes(other_counts)),
-        Check(f"their number is {_list(counts, 1)} a tooth at D 1.1, 1.5, 1.9", _rises(counts)),
-        Check(f"they are {_list(other_heights)} um high", _hardly_changes(other_heights)),
+        ClaimCheck(f"peaks are {_list(heights)} um high at Ra 0.8, 1.6, 3.2 um", _rises(heights)),
+        ClaimCheck(f"their number is {_list(other_counts, 1)} a tooth", _hardly_changes(other_counts)),
+        ClaimCheck(f"their number is {_list(counts, 1)} a tooth at D 1.1, 1.5, 1.9", _rises(counts)),
+        ClaimCheck(f"they are {_list(other_heights)} um high", _hardly_changes(other_heights)),
     ]
 
 

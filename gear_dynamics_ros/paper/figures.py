@@ -55,20 +55,22 @@ def paper_figures(published: PaperResults, refined: PaperResults) -> list[PaperF
         PaperFigure(
             "paper_figure_5a",
             "Figure 5a. DTE at mesh phase 0 over speed (bifurcation diagram).",
-            lambda: bifurcation_figure([published]),
+            lambda: speed_bifurcation_figure([published]),
         ),
         PaperFigure(
-            "paper_figure_5b", "Figure 5b. Spectra of DTE over speed.", lambda: spectra_figure(published)
+            "paper_figure_5b",
+            "Figure 5b. Spectra of DTE over speed.",
+            lambda: speed_spectra_figure(published),
         ),
         PaperFigure(
             "paper_figure_5c",
             "Figure 5c. Shares of the meshing states over speed.",
-            lambda: shares_figure(published),
+            lambda: speed_shares_figure(published),
         ),
         PaperFigure(
             "paper_figure_5d",
             "Figure 5d. Largest dynamic mesh force over speed.",
-            lambda: ldmf_figure(published),
+            lambda: speed_ldmf_figure(published),
         ),
         PaperFigure(
             "paper_figure_6a",
@@ -108,7 +110,7 @@ def paper_figures(published: PaperResults, refined: PaperResults) -> list[PaperF
         PaperFigure(
             "paper_refined",
             "DTE at mesh phase 0 over speed: published equations (left), refined ones (right).",
-            lambda: bifurcation_figure([published, refined]),
+            lambda: speed_bifurcation_figure([published, refined]),
         ),
     ]
 
@@ -145,7 +147,7 @@ def _draw_profile(axis: Axes, profile: ToothProfile, teeth: int, colour: str) ->
     )
 
 
-def bifurcation_figure(sets: Sequence[PaperResults]) -> Figure:
+def speed_bifurcation_figure(sets: Sequence[PaperResults]) -> Figure:
     """DTE at mesh phase 0 over speed: a row for each model, a column for each of ``sets``."""
     figure = Figure(figsize=(10.0, 9.0), layout="constrained")
     axes = figure.subplots(len(MODELS), len(sets), sharex=True, sharey=True, squeeze=False)
@@ -167,7 +169,7 @@ def _draw_bifurcation(axis: Axes, scan: Sequence[CaseResult], colour: str) -> No
         axis.plot(speeds, points, ".", color=colour, markersize=0.9, markeredgewidth=0, rasterized=True)
 
 
-def spectra_figure(results: PaperResults) -> Figure:
+def speed_spectra_figure(results: PaperResults) -> Figure:
     """Amplitude of DTE over speed and mesh order, one panel a model."""
     figure = Figure(figsize=(10.0, 9.6), layout="constrained")
     axes = figure.subplots(len(MODELS), 1, sharex=True)
@@ -194,7 +196,7 @@ def spectra_figure(results: PaperResults) -> Figure:
     return figure
 
 
-def shares_figure(results: PaperResults) -> Figure:
+def speed_shares_figure(results: PaperResults) -> Figure:
     """Shares of time on the drive flank, apart, and on the back flank over speed."""
     figure = Figure(figsize=(10.0, 8.4), layout="constrained")
     axes = figure.subplots(3, 1, sharex=True)
@@ -212,7 +214,7 @@ def shares_figure(results: PaperResults) -> Figure:
     return figure
 
 
-def ldmf_figure(results: PaperResults) -> Figure:
+def speed_ldmf_figure(results: PaperResults) -> Figure:
     """Largest dynamic mesh force over the static one, over speed."""
     figure = Figure(figsize=(10.0, 4.6), layout="constrained")
     axis = figure.subplots()

@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 from gear_dynamics_ros.paper.cases import Effort
 from gear_dynamics_ros.paper.claims import MIXED
 from gear_dynamics_ros.paper.momentum import MomentumBalance, momentum_balances
-from gear_dynamics_ros.paper.verdicts import AGREEMENT, ComparedNumber, Comparison
+from gear_dynamics_ros.paper.verdicts import AGREEMENT, ComparedNumber, PaperComparison
 
 UNITS: Final[Mapping[str, str]] = {"um": "µm", "1": ""}  # as the page writes them
 SIGNIFICANT: Final = 5  # digits of our numbers
@@ -19,9 +19,9 @@ class PaperReport(NamedTuple):
     """All comparisons, and how they were made."""
 
     effort: Effort
-    one_set: Comparison
-    by_section: Comparison
-    refined: Comparison
+    one_set: PaperComparison
+    by_section: PaperComparison
+    refined: PaperComparison
 
 
 def paper_json(report: PaperReport) -> str:
@@ -100,9 +100,8 @@ def _introduction(report: PaperReport) -> str:
         "*One set* has one value for all of them, *by section* has one for each section.\n\n"
         "- Forces are those of the bearing contact on the driving gear; the driven gear is equal.\n"
         "- Shares are of time, from located contact events. A range is that of all steps.\n"
-        "- A motion is chaotic if the 0-1 test for chaos says so for its Poincaré section, after what the "
-        "teeth repeat every revolution is taken out. The first chaotic speed begins a stretch of at least "
-        "100 rpm whose sections spread over 6 µm or more."
+        "- A motion is chaotic where neighbours separate and the 0-1 test agrees, as `sweep` has it. The "
+        "first chaotic speed begins a stretch of at least 100 rpm whose sections spread over 6 µm or more."
     )
 
 

@@ -8,9 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Final, NamedTuple, TypeVar
 
-import numpy as np
-
-from gear_dynamics_ros.analysis.chaos import MIN_VALUES, Regime, periodicity, regime, zero_one_test
+from gear_dynamics_ros.analysis.chaos import Regime
 from gear_dynamics_ros.chunk import Samples
 from gear_dynamics_ros.paper.cases import (
     NAMED_CASES,
@@ -23,10 +21,8 @@ from gear_dynamics_ros.paper.cases import (
 )
 from gear_dynamics_ros.paper.waveforms import run_waveform
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.physics.constants import surfaces
 from gear_dynamics_ros.physics.geometry import base_radii
-from gear_dynamics_ros.simulation.orbit import mesh_period
-from gear_dynamics_ros.sweeps.point import Measurement, PointResult
+from gear_dynamics_ros.sweeps.point import REGIMES, Measurement, PointResult
 
 Measure = Callable[[Parameters, Measurement], PointResult]
 T = TypeVar("T")
@@ -34,7 +30,6 @@ Item = TypeVar("Item")
 
 WAVEFORM_PERIODS: Final = 480  # of the mesh, that a waveform keeps
 WAVEFORM_TRANSIENT: Final = 1000  # mesh periods at most
-SURFACE_ANGLES: Final = 8192  # 12 for each of the shortest waves, which are the lowest
 
 
 class CaseResult(NamedTuple):
@@ -42,7 +37,12 @@ class CaseResult(NamedTuple):
 
     case: Case
     point: PointResult
-    regime: Regime | None  # None if the run ended before
+
+    @property
+    def regime(self) -> Regime | None:
+        """Kind of the motion, None if the run ended before."""
+        number = self.point.scalars["regime"]
+        return None if math.isnan(number) else REGIMES[int(number)]
 
 
 @dataclass(frozen=True)
@@ -90,10 +90,9 @@ def run_cases(
     cases = needed_cases(speed_step, effort.restitution_step)
 
     def one(case: Case) -> CaseResult:
-        parameters = parameter_set.of(case)
-        point = measure(parameters, effort.measurement)
+        point = measure(parameter_set.of(case), effort.measurement)
         done()
-        return CaseResult(case, point, regime_of(parameters, point))
+        return CaseResult(case, point)
 
     def waveform(name: str) -> Samples | None:
         transient = min(effort.measurement.transient, WAVEFORM_TRANSIENT)
@@ -125,22 +124,3 @@ def in_threads(act: Callable[[Item], T], items: Iterable[Item], workers: int) ->
         return list(pool.map(act, items))
     finally:
         pool.shutdown(cancel_futures=True)
-
-
-def regime_of(parameters: Parameters, point: PointResult) -> Regime | None:
-    """Regime of a point from its Poincaré section; None if its run ended before or the section is short."""
-    section = np.column_stack([point.arrays["section_dte"], point.arrays["section_dte_rate"]])
-    section = section[np.isfinite(section).all(axis=1)]
-    if len(section) < MIN_VALUES:
-        return None
-    teeth = (parameters.gears.driving.teeth, parameters.gears.driven.teeth)
-    found = periodicity(section, math.lcm(*teeth), surface_width(parameters))
-    exponent = point.scalars.get("lyapunov", math.nan)
-    return regime(found, exponent, zero_one_test(section[:, 0], teeth), mesh_period(parameters))
-
-
-def surface_width(parameters: Parameters) -> float:
-    """By how much the tooth surfaces alone change half the backlash over a revolution, m."""
-    angles = np.linspace(0.0, 2.0 * math.pi, SURFACE_ANGLES, endpoint=False)
-    driving, driven = (float(np.ptp(profile.height(angles))) for profile in surfaces(parameters))
-    return 0.5 * (driving + driven)

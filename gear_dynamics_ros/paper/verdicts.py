@@ -69,7 +69,7 @@ class Totals(NamedTuple):
     mixed: int
 
 
-class Comparison(NamedTuple):
+class PaperComparison(NamedTuple):
     """Everything that the paper says, beside what the runs under one set of parameters gave."""
 
     results: PaperResults
@@ -85,9 +85,9 @@ class Comparison(NamedTuple):
         return Totals(len(verdicts), verdicts.count(AGREES), len(holds), true, holds.count(MIXED))
 
 
-def compare(results: PaperResults) -> Comparison:
+def compare(results: PaperResults) -> PaperComparison:
     """Every printed number and every claim beside ``results``."""
-    return Comparison(
+    return PaperComparison(
         results,
         [ComparedNumber(number, _known(MEASURES[number.id](results))) for number in PRINTED_NUMBERS],
         [JudgedClaim(claim, judge(claim.checks(results))) for claim in CLAIMS],

@@ -22,7 +22,7 @@ from gear_dynamics_ros.realtime.mailbox import Delivery, Mailbox
 from gear_dynamics_ros.realtime.pacing import Pace, Pacer
 from gear_dynamics_ros.realtime.scheduling import schedule
 from gear_dynamics_ros.simulation.run import Run
-from gear_dynamics_ros.system.threads import begin_thread
+from gear_dynamics_ros.system.threads import Doorbell, begin_thread
 
 T = TypeVar("T")
 
@@ -54,17 +54,22 @@ class EngineThread:
         run: Run,
         mailbox: Mailbox,
         on_end: Callable[[], None],
+        collect: Callable[[], None] = lambda: None,
     ) -> None:
-        """``on_end`` is called on the engine's thread when the run has ended."""
+        """``on_end`` is called on the engine's thread when the run has ended.
+
+        ``collect`` is called before ``mailbox`` is emptied, to bring in what has not reached it.
+        """
         self.run = run
         self.mailbox = mailbox
         self._on_end = on_end
+        self._collect = collect
         solver = run.engine.parameters.solver
         self._interval_ns = solver.sample_interval_ns
         self._chunk_ns = solver.samples_per_chunk * self._interval_ns
         self._pacer = Pacer(run.engine.parameters.pacing, time.monotonic_ns())
         self._requests: deque[Callable[[], None]] = deque()
-        self._wake = threading.Condition()
+        self._bell = Doorbell()
         self._pacer_lock = threading.Lock()
         self._stopping = False
         self._thread: threading.Thread | None = None
@@ -91,7 +96,7 @@ class EngineThread:
     def start(self) -> None:
         """Start the thread; after ``stop`` the run continues where it stopped."""
         self._stopping = False
-        self.mailbox.forget()
+        self._forget_commands()
         self._restart_clocks()
         self._thread = threading.Thread(target=self._work, name="engine", daemon=True)
         self._thread.start()
@@ -100,9 +105,8 @@ class EngineThread:
         """Finish the present chunk, serve all requests and end the thread."""
         if self._thread is None:
             return
-        with self._wake:
-            self._stopping = True
-            self._wake.notify_all()
+        self._stopping = True
+        self._bell.ring()
         self._thread.join()
         self._thread = None
 
@@ -184,7 +188,7 @@ class EngineThread:
         self._abort_steps("aborted: the run was reset or a checkpoint restored")
         self._end_reported = False
         self._timed_out = False
-        self.mailbox.forget()
+        self._forget_commands()
         self._restart_clocks()
 
     def change(self, change: ParameterChange) -> None:
@@ -203,6 +207,15 @@ class EngineThread:
     @property
     def _operation(self) -> OperationParameters:
         return self.run.engine.parameters.operation
+
+    def _delivery(self) -> Delivery:
+        """Every command that has arrived."""
+        self._collect()
+        return self.mailbox.take(time.monotonic_ns())
+
+    def _forget_commands(self) -> None:
+        self._collect()
+        self.mailbox.forget()
 
     def _restart_clocks(self) -> None:
         now = time.monotonic_ns()
@@ -227,9 +240,8 @@ class EngineThread:
             steps.abort(reason)
 
     def _enqueue(self, serve: Callable[[], None]) -> None:
-        with self._wake:
-            self._requests.append(serve)
-            self._wake.notify_all()
+        self._requests.append(serve)
+        self._bell.ring()
 
     def _work(self) -> None:
         begin_thread()
@@ -270,15 +282,13 @@ class EngineThread:
     def _wait(self) -> bool:
         """Serve requests until a chunk is due; returns False if the thread must end."""
         while True:
-            with self._wake:
-                if not self._requests and not self._stopping:
-                    self._wake.wait(self._patience())
             # One at a time: if one fails, the others stay in the queue.
             while self._requests:
                 self._requests.popleft()()
             if self._stopping:
                 return False
-            if self._patience() == 0.0:
+            patience = self._patience()
+            if patience == 0.0 or not self._bell.wait(patience):
                 return True
 
     def _patience(self) -> float | None:
@@ -294,7 +304,7 @@ class EngineThread:
         now = time.monotonic_ns()
         with self._pacer_lock:
             self._pacer.chunk_started(self._chunk_ns, now)
-        delivery = self.mailbox.take(now)
+        delivery = self._delivery()
         self._check_timeout(delivery)
         chunk = self._chunk(delivery)
         with self._pacer_lock:
@@ -307,7 +317,7 @@ class EngineThread:
         if steps.expired(now):
             self._abort_steps(f"timed out: {steps.timeout:g} s (stepping.timeout) are over")
             return
-        self._chunk(self.mailbox.take(now))
+        self._chunk(self._delivery())
         steps.made += 1
         if steps.made == steps.chunks and not self.run.state.ended:
             self._steps = None

@@ -45,8 +45,12 @@ class Session:
         sinks: Sequence[Sink],
         names: NodeNames,
         on_end: Callable[[Session], None],
+        collect: Callable[[], None] = lambda: None,
     ) -> None:
-        """``names`` are the node's; ``on_end`` is called on the engine's thread when the run has ended."""
+        """``names`` are the node's; ``on_end`` is called on the engine's thread when the run has ended.
+
+        ``collect`` is called before ``mailbox`` is emptied, to bring in what has not reached it.
+        """
         parameters = engine.parameters
         self.epoch_ns = time.time_ns()
         self.condition = ConditionSink()
@@ -55,7 +59,7 @@ class Session:
         self._encoder = Encoder(parameters, self.epoch_ns)
         self._run = Run(engine, self._encoder, [*sinks, self.condition], duration=parameters.pacing.duration)
         self.recordings = RecordingControl(self._run, self.epoch_ns, names)
-        self.engine_thread = EngineThread(self._run, mailbox, self._run_ended)
+        self.engine_thread = EngineThread(self._run, mailbox, self._run_ended, collect)
         self._started = False
         self._record_after_restart = False  # whether a fault, not the operator, ended the recording
         # A slow disk must not delay the engine, or the thread that serves the operator.

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.messages.decoder import requested_changes
@@ -26,8 +29,18 @@ class CommandPublishers(NamedTuple):
     wrong_type: Sequence[str]  # such topics and the types, as "/gearbox/command/speed: std_msgs/msg/Float32"
 
 
+class _Arrival(NamedTuple):
+    time_ns: int  # of the system's clock
+    topic: str  # key in TOPICS
+    data: bytes  # CDR
+
+
 class CommandReceiver:
-    """Decodes commands, passes them to the mailbox, and warns of invalid ones."""
+    """Takes commands from the middleware to the mailbox, and warns of invalid ones.
+
+    The thread that needs the commands takes them: a command that waited for the executor to pass it on would
+    miss the edge of a chunk that begins meanwhile.
+    """
 
     def __init__(self, node: Node, mailbox: Mailbox, joint_prefix: str) -> None:
         self._node = node
@@ -35,9 +48,33 @@ class CommandReceiver:
         self._mailbox = mailbox
         self._joint_prefix = joint_prefix
         self._warned: set[str] = set()
+        self._collecting = threading.Lock()
+        self._sources: list[tuple[str, Any, Any]] = []  # key in TOPICS, message type, what takes a message
 
-    def receive(self, key: str, data: bytes) -> None:
-        """Take the message ``data`` (CDR) on the command topic ``key`` (in TOPICS)."""
+    def listen(self, subscriptions: Mapping[str, Subscription]) -> None:
+        """Take commands from ``subscriptions`` (by key in TOPICS), which no executor may serve."""
+        self._sources = [
+            (key, subscription.msg_type, subscription.handle.take_message)
+            for key, subscription in subscriptions.items()
+        ]
+
+    def collect(self) -> None:
+        """Pass on everything that has arrived, in the order of arrival; for any thread."""
+        with self._collecting:
+            arrived: list[_Arrival] = []
+            # While the others are asked, one may arrive on a topic that was asked already.
+            while found := self._taken():
+                arrived += found
+            for _, key, data in sorted(arrived, key=itemgetter(0)):
+                self._receive(key, data)
+
+    def _taken(self) -> list[_Arrival]:
+        """At most one message of each topic."""
+        taken = [(key, take(kind, True)) for key, kind, take in self._sources]
+        return [_Arrival(found[1]["received_timestamp"], key, found[0]) for key, found in taken if found]
+
+    def _receive(self, key: str, data: bytes) -> None:
+        """Pass on the message ``data`` (CDR) on the command topic ``key`` (in TOPICS), or refuse it."""
         try:
             message = node_topics.read_command(key, data)
         except GearboxError as error:

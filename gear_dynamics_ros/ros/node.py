@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock
@@ -17,6 +17,7 @@ from rclpy.exceptions import ParameterException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.serialization import serialize_message
+from rclpy.subscription import Subscription
 
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.parameters import ParameterChange, Parameters
@@ -38,6 +39,10 @@ from gear_dynamics_ros.simulation.sinks import ViewerSink
 from gear_dynamics_ros.simulation.warm_up import warm_up
 from gear_dynamics_ros.system.memory import available_memory
 from gear_dynamics_ros.viewer import Viewer, open_viewer
+
+# The engine takes commands at each edge of a chunk. This is for those that come while it computes nothing:
+# the middleware keeps only COMMAND_DEPTH of them.
+COLLECT_INTERVAL: Final = 0.05  # s
 
 
 class GearboxNode(LifecycleNode):
@@ -62,6 +67,7 @@ class GearboxNode(LifecycleNode):
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._cleanups: list[Callable[[], Any]] = []  # destroy the entities of the configured node
         self._publishers_by_key: dict[str, Any] = {}
+        self._command_subscriptions: dict[str, Subscription] = {}
         self._listeners = node_topics.Listeners()
         self._engine: Engine | None = None
         self._viewer: Viewer | None = None
@@ -81,6 +87,12 @@ class GearboxNode(LifecycleNode):
     def parameters(self) -> Parameters:
         """Parameters of the node."""
         return self._runtime_parameters.current
+
+    @property
+    def subscriptions(self) -> Iterator[Subscription]:
+        """Those that an executor serves: commands are taken by ``CommandReceiver``."""
+        kept = self._command_subscriptions.values()
+        return (subscription for subscription in super().subscriptions if subscription not in kept)
 
     def bring_up(self) -> None:
         """Configure and activate. Raises GearboxError with the reason if that fails."""
@@ -152,16 +164,20 @@ class GearboxNode(LifecycleNode):
         group = MutuallyExclusiveCallbackGroup()
         try:
             clock = self.parameters.clock_rate > 0.0
-            self._listeners = node_topics.Listeners()
+            # Who joins in a pause needs the last clock.
+            self._listeners = node_topics.Listeners(["clock"] if clock else [])
             for key, publisher in node_topics.create_publishers(self, group, self._listeners, clock=clock):
                 self._publishers_by_key[key] = publisher
                 self._cleanups.append(partial(self.destroy_publisher, publisher))
-            for subscription in node_topics.create_subscriptions(self, group, self._commands.receive):
+            for key, subscription in node_topics.create_subscriptions(self, group):
+                self._command_subscriptions[key] = subscription
                 self._cleanups.append(partial(self.destroy_subscription, subscription))
         except (InvalidQosOverridesError, ParameterException, RuntimeError) as error:
             raise UsageError(f"qos_overrides: {error}") from error
-        timer = self.create_timer(1.0, self._report, callback_group=group, clock=self._steady)
-        self._cleanups.append(partial(self.destroy_timer, timer))
+        self._commands.listen(self._command_subscriptions)
+        for interval, act in ((1.0, self._report), (COLLECT_INTERVAL, self._commands.collect)):
+            timer = self.create_timer(interval, act, callback_group=group, clock=self._steady)
+            self._cleanups.append(partial(self.destroy_timer, timer))
 
     def _activate(self) -> None:
         if self._session is None:
@@ -185,7 +201,7 @@ class GearboxNode(LifecycleNode):
         if self._viewer is not None:
             sinks.append(ViewerSink(self._viewer))
         names = node_topics.node_names(self)
-        session = Session(self._engine, self._mailbox, sinks, names, self._run_ended)
+        session = Session(self._engine, self._mailbox, sinks, names, self._run_ended, self._commands.collect)
         self._errors_logged = 0
         if session.recordings.wanted:
             done = session.begin_recording(beside=self._recorded_before)
@@ -208,6 +224,7 @@ class GearboxNode(LifecycleNode):
         while self._cleanups:
             self._cleanups.pop()()
         self._publishers_by_key = {}
+        self._command_subscriptions = {}
 
     def _run_ended(self, session: Session) -> None:
         state = session.state

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import partial
 from importlib import import_module
 from typing import Any
@@ -27,15 +27,16 @@ Publishers = Mapping[str, Publisher]
 class Listeners:
     """Which topics of CHUNK_TOPICS somebody listens to. The middleware tells it; any thread may ask."""
 
-    def __init__(self) -> None:
+    def __init__(self, always: Collection[str] = ()) -> None:
+        """Topics in ``always`` count as heard."""
+        self._always = always
         self._counts: dict[str, int] = {}
-        # Who joins in a pause needs the last clock.
-        self.heard: frozenset[str] = frozenset(["clock"])
+        self.heard = frozenset(always)
 
     def note(self, topic: str, matched: QoSPublisherMatchedInfo) -> None:
         """Take in how many subscriptions ``topic`` (in CHUNK_TOPICS) has. On one thread."""
         self._counts[topic] = matched.current_count
-        self.heard = frozenset(["clock", *(key for key, count in self._counts.items() if count)])
+        self.heard = frozenset([*self._always, *(key for key, count in self._counts.items() if count)])
 
 
 class PublisherSink:
@@ -104,20 +105,21 @@ def _events(key: str, listeners: Listeners) -> PublisherEventCallbacks:
     return PublisherEventCallbacks(matched=partial(listeners.note, key))
 
 
-def create_subscriptions(
-    node: Node, group: CallbackGroup, take: Callable[[str, bytes], None]
-) -> Iterator[Subscription]:
-    """Subscriptions to all commands; ``take`` gets the key in TOPICS and the message in CDR."""
+def create_subscriptions(node: Node, group: CallbackGroup) -> Iterator[tuple[str, Subscription]]:
+    """Subscriptions to all commands with their keys in TOPICS, to be asked for messages in CDR."""
     for key in COMMAND_TOPICS:
         topic = TOPICS[key]
-        yield node.create_subscription(
-            message_type(topic.type),
-            _expanded(node, topic),
-            partial(take, key),
-            quality(topic),
-            callback_group=group,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-            raw=True,
+        yield (
+            key,
+            node.create_subscription(
+                message_type(topic.type),
+                _expanded(node, topic),
+                lambda _: None,
+                quality(topic),
+                callback_group=group,
+                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+                raw=True,
+            ),
         )
 
 

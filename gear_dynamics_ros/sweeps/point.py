@@ -8,9 +8,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gear_dynamics_ros.analysis import chaos
 from gear_dynamics_ros.analysis.spectra import MIN_SAMPLES, amplitude_spectrum
+from gear_dynamics_ros.analysis.surface_scatter import hunting_periods, section_width
 from gear_dynamics_ros.channels import COLUMN
 from gear_dynamics_ros.chunk import Status
+from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics.geometry import base_radii
 from gear_dynamics_ros.simulation.orbit import (
@@ -20,11 +23,16 @@ from gear_dynamics_ros.simulation.orbit import (
     Orbit,
     OrbitRecord,
 )
+from gear_dynamics_ros.simulation.separated_pair import SEPARATION, SeparatedPair
 
 BLOCK: Final = 200  # periods advanced at once: their samples take 0.9 MB
 SPECTRUM_PERIODS: Final = 200  # periods in each of the spectra that are averaged
 HIGHEST_ORDER: Final = 5.0  # of the mesh frequency
 DONE: Final = "done"
+REGIMES: Final[tuple[chaos.Regime, ...]] = ("periodic", "quasi-periodic", "chaotic")  # by number
+# Intervals of a separated pair, of 5 mesh periods each.
+SKIPPED_INTERVALS: Final = 10
+EXPONENT_INTERVALS: Final = 50
 
 # Unit of every scalar result, by name.
 SCALARS: Final[Mapping[str, str]] = {
@@ -35,7 +43,14 @@ SCALARS: Final[Mapping[str, str]] = {
     **{f"{name}_{kind}": unit for name, unit in EXTREMES.items() for kind in ("min", "max", "mean")},
     "pressure_angle_min": "rad",
     "pressure_angle_max": "rad",
+    "period": "1",
+    "regime": "1",
+    "lyapunov": "1/s",
+    "zero_one": "1",
     "section_spread": "m",
+    "section_cloud": "m",
+    "section_width": "m",
+    "closing_error": "m",
     "section_phase_error": "rad",
     "events": "1",
     "capped": "1",
@@ -73,7 +88,7 @@ def measure_orbit(orbit: Orbit, measurement: Measurement) -> PointResult:
             records.append(orbit.advance(min(BLOCK, measurement.keep - begin)))
     if orbit.status is not Status.RUNNING:
         return ended(measurement, orbit.reason)
-    return _result(records, orbit.parameters, measurement)
+    return _result(records, orbit, measurement)
 
 
 def skip(orbit: Orbit, count: int) -> None:
@@ -101,12 +116,12 @@ def spectrum_orders(keep: int) -> NDArray[np.float64]:
     return np.arange(int(HIGHEST_ORDER * periods) + 1) / periods
 
 
-def _result(records: list[OrbitRecord], parameters: Parameters, measurement: Measurement) -> PointResult:
+def _result(records: list[OrbitRecord], orbit: Orbit, measurement: Measurement) -> PointResult:
+    parameters = orbit.parameters
     time = sum(record.time for record in records)
     drive = sum(record.drive_time for record in records) / time
     back = sum(record.back_time for record in records) / time
     section = np.concatenate([record.section for record in records])[: measurement.keep]
-    section = np.vstack([section, np.full((measurement.keep - len(section), 2), np.nan)])
     alpha = np.concatenate([record.samples[:, COLUMN["pressure_angle"]] for record in records])
     extremes = _joined_extremes(records)
     static = abs(parameters.operation.load_torque) / base_radii(parameters)[1]
@@ -118,18 +133,59 @@ def _result(records: list[OrbitRecord], parameters: Parameters, measurement: Mea
         **extremes,
         "pressure_angle_min": float(alpha.min()),
         "pressure_angle_max": float(alpha.max()),
-        "section_spread": float(np.nanmax(section[:, 0]) - np.nanmin(section[:, 0])),
+        **_motion(section, orbit),
         "section_phase_error": max(record.phase_error for record in records),
         "events": float(sum(record.counters.events for record in records)),
         "capped": float(sum(record.counters.capped for record in records)),
     }
     dte = np.concatenate([record.samples[:, COLUMN["dte"]] for record in records])
+    whole = np.vstack([section, np.full((measurement.keep - len(section), 2), np.nan)])
     arrays = {
-        "section_dte": section[:, 0],
-        "section_dte_rate": section[:, 1],
+        "section_dte": whole[:, 0],
+        "section_dte_rate": whole[:, 1],
         "dte_spectrum": mean_spectrum(dte, measurement.keep),
     }
     return PointResult(scalars, arrays, DONE)
+
+
+def _motion(section: NDArray[np.float64], orbit: Orbit) -> dict[str, float]:
+    """What kind of motion ``section`` (n, 2) shows; NaN what it is too short for. ``orbit`` is its end."""
+    parameters = orbit.parameters
+    width = section_width(parameters)
+    motion = {
+        "period": np.nan,
+        "regime": np.nan,
+        "lyapunov": np.nan,
+        "zero_one": np.nan,
+        "section_spread": float(np.ptp(section[:, 0])) if len(section) else np.nan,
+        "section_cloud": np.nan,
+        "section_width": width,
+        "closing_error": np.nan,
+    }
+    if len(section) < chaos.MIN_VALUES:
+        return motion
+    found = chaos.periodicity(section, hunting_periods(parameters), width)
+    teeth = (parameters.gears.driving.teeth, parameters.gears.driven.teeth)
+    zero_one = chaos.zero_one_test(section[:, 0], teeth)
+    exponent = _largest_exponent(orbit)
+    regime = chaos.regime(found, exponent, zero_one, orbit.period)
+    return motion | {
+        "period": float(found.period),
+        "regime": float(REGIMES.index(regime)),
+        "lyapunov": exponent,
+        "zero_one": zero_one,
+        "section_cloud": found.cloud,
+        "closing_error": found.closing_error,
+    }
+
+
+def _largest_exponent(orbit: Orbit) -> float:
+    """In 1/s, from copies of ``orbit``; NaN if their run ends."""
+    pair = SeparatedPair(orbit.copy())
+    try:
+        return chaos.largest_exponent(pair, EXPONENT_INTERVALS, pair.interval, SEPARATION, SKIPPED_INTERVALS)
+    except GearboxError:
+        return np.nan
 
 
 def _joined_extremes(records: list[OrbitRecord]) -> dict[str, float]:

@@ -18,7 +18,7 @@ from gear_dynamics_ros.simulation.provenance import current_provenance
 from gear_dynamics_ros.sweeps.axis import Axis
 from gear_dynamics_ros.sweeps.branch import PointOutcome
 from gear_dynamics_ros.sweeps.plan import Index, SweepPlan
-from gear_dynamics_ros.sweeps.point import ARRAYS, SCALARS, PointResult, ended, spectrum_orders
+from gear_dynamics_ros.sweeps.point import ARRAYS, REGIMES, SCALARS, PointResult, ended, spectrum_orders
 from gear_dynamics_ros.system.files import output_file, replace_file, replace_text
 
 PLAN: Final = "plan.json"
@@ -151,6 +151,7 @@ def make_dataset(plan: SweepPlan, outcomes: Iterable[PointOutcome]) -> xr.Datase
     }
     for name, values in arrays.items():
         variables[name] = ((*dims, last.get(name, "section")), values, {"units": ARRAYS[name]})
+    variables["regime"][2].update(flag_values=np.arange(3.0), flag_meanings=" ".join(REGIMES))
     variables["status"] = (dims, status, {"long_name": "done, or why there is no result"})
     dataset = xr.Dataset(variables, _coordinates(plan), _attributes(plan))
     return dataset if len(plan.ways) > 1 else dataset.squeeze("direction", drop=True)

@@ -13,6 +13,26 @@ from typing import Final
 LOCK_INTERVAL: Final = 0.5e-3  # s
 
 
+class Doorbell:
+    """Wakes one waiting thread. A ring while nobody waits ends the next wait at once; more rings add nothing.
+
+    A timed wait of a Condition takes several times as long to return.
+    """
+
+    def __init__(self) -> None:
+        self._silent = threading.Lock()
+        self._silent.acquire()
+
+    def ring(self) -> None:
+        """Wake the waiting thread; for any thread."""
+        with contextlib.suppress(RuntimeError):  # it rings already
+            self._silent.release()
+
+    def wait(self, timeout: float | None) -> bool:
+        """Whether it rang within ``timeout`` s; None waits without end."""
+        return self._silent.acquire(timeout=-1.0 if timeout is None else timeout)
+
+
 def begin_thread() -> None:
     """Set what this thread otherwise inherits from the one that started it, on Linux.
 

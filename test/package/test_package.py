@@ -58,6 +58,7 @@ FROM_PIP: Mapping[str, str] = {
     "matplotlib": "matplotlib",
     "mcap": "mcap",
     "mcap_ros2": "mcap-ros2-support",
+    "netCDF4": "netCDF4",
     "numba": "numba",
     "pyarrow": "pyarrow",
     "rosbags": "rosbags",

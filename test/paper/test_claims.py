@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from gear_dynamics_ros.paper.claims import CLAIMS, MIXED, Check, judge
+from gear_dynamics_ros.paper.claims import CLAIMS, MIXED, ClaimCheck, judge
 from gear_dynamics_ros.paper.momentum import momentum_balances
 from gear_dynamics_ros.paper.waveforms import apart_share, lifts_per_period, loop_area, mesh_periods
 from support.paper_world import opposite, world
@@ -39,7 +39,7 @@ def test_a_claim_is_false_where_nothing_of_it_is_so(number: int) -> None:
 
 
 def test_a_claim_of_which_a_part_is_so_is_mixed() -> None:
-    judgement = judge([Check("first", True), Check("second", False)])
+    judgement = judge([ClaimCheck("first", True), ClaimCheck("second", False)])
     assert judgement.holds == MIXED
     assert judgement.evidence == "first: yes; second: no"
 

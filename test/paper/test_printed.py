@@ -7,7 +7,9 @@ import pytest
 from gear_dynamics_ros.paper.cases import FULL, NAMED_CASES, QUICK, SCANS, needed_cases, scan_cases
 from gear_dynamics_ros.paper.measures import MEASURES, is_chaotic, onset_of_chaos
 from gear_dynamics_ros.paper.printed import PRINTED_NUMBERS, Comparability
+from gear_dynamics_ros.paper.results import CaseResult
 from gear_dynamics_ros.paper.verdicts import AGREES, DIFFERS, NONE_FOUND, ComparedNumber, compare
+from gear_dynamics_ros.sweeps.point import REGIMES
 from support.paper_world import world
 
 TABLE = (
@@ -61,18 +63,20 @@ def test_a_measure_finds_the_printed_number_where_the_results_are_the_papers(num
     assert MEASURES[number](world()) == pytest.approx(BY_ID[number].printed)
 
 
+def changed(result: CaseResult, **scalars: float) -> CaseResult:
+    return result._replace(point=result.point._replace(scalars={**result.point.scalars, **scalars}))
+
+
 def test_chaos_begins_where_it_lasts() -> None:
-    results = world()
-    scan = results.scan("compared over speed")
-    calm = [result._replace(regime="periodic") for result in scan]
+    scan = world().scan("compared over speed")
+    calm = [changed(result, regime=REGIMES.index("periodic")) for result in scan]
     single = [
         new if result.case.speed == 4000 else old for result, new, old in zip(scan, scan, calm, strict=True)
     ]
     assert sum(map(is_chaotic, single)) == 1
     assert onset_of_chaos(single) is None
     assert onset_of_chaos(calm) is None
-    narrow = {**scan[5].point.scalars, "section_spread": 1e-6}
-    assert not is_chaotic(scan[5]._replace(point=scan[5].point._replace(scalars=narrow)))
+    assert onset_of_chaos([changed(result, section_spread=1e-6) for result in scan]) is None
 
 
 @pytest.mark.parametrize(

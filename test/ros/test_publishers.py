@@ -14,7 +14,7 @@ from support.gearbox import Peer
 
 
 def publisher_sink(peer: Peer) -> PublisherSink:
-    listeners = Listeners()
+    listeners = Listeners(["clock"])
     group = MutuallyExclusiveCallbackGroup()
     return PublisherSink(dict(create_publishers(peer.node, group, listeners, clock=True)), listeners)
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.optimize import brentq, root
 
+from gear_dynamics_ros.analysis.chaos import largest_exponent, zero_one_test
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics.constants import aligned_zeros, base_radii, excitation_table, kernel_constants
@@ -24,6 +25,9 @@ from gear_dynamics_ros.physics.kernel.records import HERE, POINT, STATE
 from gear_dynamics_ros.physics.restitution import damping_factor
 from gear_dynamics_ros.physics.surface import fractal_surface
 from gear_dynamics_ros.simulation.engine import Engine
+from gear_dynamics_ros.simulation.separated_pair import SeparatedPair
+from support.chaotic_systems import LorenzPair, logistic
+from support.linearised import settled, slowest_mode
 
 Vector = NDArray[np.float64]
 
@@ -499,6 +503,33 @@ def surface() -> Iterator[Measurement]:
         yield absolute(what, slope, -(5.0 - 2.0 * dimension), 0.02)
 
 
+# Measures of chaos
+
+
+def regular_and_chaotic_series() -> Iterator[Measurement]:
+    golden = (math.sqrt(5.0) - 1.0) / 2.0
+    rotation = np.cos(2.0 * math.pi * golden * np.arange(1000))
+    for name, series, reference in (
+        ("logistic map, r = 3.55, period 8", logistic(3.55, 1000), 0.0),
+        ("logistic map, r = 3.97, chaotic", logistic(3.97, 1000), 1.0),
+        ("quasi-periodic rotation", rotation, 0.0),
+    ):
+        yield absolute(f"K of the 0-1 test, {name}", zero_one_test(series), reference, 0.05)
+
+
+def exponents() -> Iterator[Measurement]:
+    for separation in (1e-6, 1e-9):
+        found = largest_exponent(LorenzPair(separation), 50_000, 0.2, separation, skip=50)
+        yield relative(f"exponent of the Lorenz attractor, separation {separation:g}", found, 0.9056, 0.01)
+    orbit = settled({**QUIET, **PUBLISHED, "model": "improved", "operation.speed": 184.0}, 200, 3000)
+    expected = slowest_mode(orbit)
+    for separation in (1e-5, 1e-6, 1e-7, 1e-8):
+        pair = SeparatedPair(orbit.copy(), separation)
+        found = largest_exponent(pair, 200, pair.interval, separation, skip=10)
+        what = f"exponent at rest in the oil film, separation {separation:g}"
+        yield relative(what, found, expected, 0.01, "1/s")
+
+
 GROUPS: dict[str, Callable[[], Iterator[Measurement]]] = {
     "film_steady": film_steady,
     "film_moving": film_moving,
@@ -510,4 +541,6 @@ GROUPS: dict[str, Callable[[], Iterator[Measurement]]] = {
     "energy": energy,
     "backlash_oscillator": backlash_oscillator,
     "surface": surface,
+    "regular_and_chaotic_series": regular_and_chaotic_series,
+    "exponents": exponents,
 }

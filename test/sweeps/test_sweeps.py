@@ -48,7 +48,7 @@ def test_points_are_what_single_runs_give() -> None:
     dataset = run(swept)
     alone = measure(swept.parameters_at((1, 0, 3)), swept.measurement)
     point = dataset.isel(model=1, **{"operation.speed": 3})
-    assert {name: float(point[name]) for name in SCALARS} == alone.scalars
+    np.testing.assert_equal({name: float(point[name]) for name in SCALARS}, alone.scalars)
     assert all(np.array_equal(point[name].values, alone.arrays[name]) for name in ARRAYS)
 
 
@@ -139,6 +139,17 @@ def test_the_dataset_is_opened_without_this_package(tmp_path: Path) -> None:
         speeds = stored.variables["operation.speed"][:]
         assert speeds[-1] == pytest.approx(7000 * math.pi / 30)
         assert stored.variables["section_dte"].shape == (2, 5, 40)
+
+
+def test_a_sweep_tells_periodic_from_chaotic_motion() -> None:
+    speeds = parse_axis("operation.speed=7000,10500,15500rpm")
+    parameters = load_parameters(CONFIG / "paper.yaml")
+    dataset = run(SweepPlan(parameters, (speeds,), ("traditional",), Measurement(1000, 400))).squeeze()
+    assert dataset["period"].values.tolist() == [2.0, 0.0, 1.0]
+    meanings = dataset["regime"].attrs["flag_meanings"].split()
+    assert [meanings[int(code)] for code in dataset["regime"]] == ["periodic", "chaotic", "periodic"]
+    assert dataset["lyapunov"][1] > 500.0 and dataset["zero_one"][1] > 0.9
+    assert dataset["section_phase_error"].max() < 1e-12
 
 
 def test_the_spectrum_shows_a_line_of_the_mesh_at_its_amplitude() -> None:

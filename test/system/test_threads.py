@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from gear_dynamics_ros.system.threads import begin_thread, wake_punctually
+from gear_dynamics_ros.system.threads import Doorbell, begin_thread, wake_punctually
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs Linux's /proc")
 
@@ -46,3 +46,22 @@ def test_threads_started_by_a_punctual_one_are_punctual():
 
     assert on_a_thread(start_another) == ("1", "1")
     assert slack() != "1"
+
+
+def test_a_doorbell_ends_one_wait_however_often_it_rang_before():
+    bell = Doorbell()
+    assert not bell.wait(0.0)
+    bell.ring()
+    bell.ring()
+    assert bell.wait(None)
+    assert not bell.wait(0.0)
+
+
+def test_a_doorbell_wakes_a_thread_that_waits():
+    bell, answer = Doorbell(), Doorbell()
+    thread = threading.Thread(target=lambda: bell.wait(None) and answer.ring())
+    thread.start()
+    assert not answer.wait(0.05)
+    bell.ring()
+    assert answer.wait(None)
+    thread.join()
