@@ -33,8 +33,8 @@ from gear_dynamics_ros.paper.measures import (
     onset_of_chaos,
     penetration_range,
 )
-from gear_dynamics_ros.paper.profiles import profiles_over_dimension, profiles_over_roughness
 from gear_dynamics_ros.paper.results import CaseResult, PaperResults
+from gear_dynamics_ros.paper.tooth_profiles import profiles_over_dimension, profiles_over_roughness
 from gear_dynamics_ros.paper.waveforms import apart_share, lifts_per_period, loop_area, section_of
 from gear_dynamics_ros.sweeps.point import spectrum_orders
 

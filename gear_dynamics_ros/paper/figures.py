@@ -24,8 +24,12 @@ from gear_dynamics_ros.paper.cases import (
     speed_scan,
 )
 from gear_dynamics_ros.paper.measures import FORCE, PERCENT, column
-from gear_dynamics_ros.paper.profiles import ToothProfile, profiles_over_dimension, profiles_over_roughness
 from gear_dynamics_ros.paper.results import CaseResult, PaperResults
+from gear_dynamics_ros.paper.tooth_profiles import (
+    ToothProfile,
+    profiles_over_dimension,
+    profiles_over_roughness,
+)
 from gear_dynamics_ros.paper.waveforms import section_of
 from gear_dynamics_ros.sweeps.point import spectrum_orders
 
