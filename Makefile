@@ -1,4 +1,4 @@
-# make setup | demo | test | bench | soak | lint | clean
+# make setup | demo | reproduce | test | bench | soak | lint | clean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -15,12 +15,16 @@ INSTALLED := $(VENV)/.installed
 WARM := $(VENV)/.warm
 NODE_READERS := test/node/node_modules/.installed
 
-.PHONY: setup demo test bench soak lint clean
+.PHONY: setup demo reproduce test bench soak lint clean
 
 setup: $(WARM)
 
 demo: setup
 	@$(BIN)/python scripts/demo.py --output demo
+
+# The source paper's numbers, claims and figures, beside ours.
+reproduce: setup
+	@$(BIN)/reproduce --output docs
 
 test: setup $(NODE_READERS)
 	@echo "== Running the test suite"

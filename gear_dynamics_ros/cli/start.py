@@ -44,6 +44,11 @@ def identify() -> int:
     return _run_main("identify")
 
 
+def reproduce() -> int:
+    """Run ``reproduce``."""
+    return _run_main("reproduce")
+
+
 def _run_main(name: str, module: str = "") -> int:
     open_streams()
     try:

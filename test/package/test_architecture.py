@@ -30,6 +30,7 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
     "reporting": {"contract", "system", "recording", "analysis"},
     "sweeps": {"contract", "system", "parameters", "physics", "simulation", "analysis"},
     "identification": {"contract", "system", "parameters", "simulation", "recording", "sweeps"},
+    "paper": {"contract", "system", "parameters", "physics", "simulation", "analysis", "sweeps"},
     "harness": {"contract", "system", "parameters"},
     "ros": {
         "contract",
@@ -54,6 +55,7 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
         "replay",
         "reporting",
         "sweeps",
+        "paper",
         "harness",
         "identification",
         "ros",
@@ -64,7 +66,7 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
 HOMES: Final[dict[str, tuple[str, ...]]] = {
     "rclpy": ("ros/*.py",),
     "rerun": ("viewer/*.py",),
-    "matplotlib": ("analysis/figures.py", "sweeps/figures.py"),
+    "matplotlib": ("analysis/figures.py", "sweeps/figures.py", "paper/figures.py"),
     "dask": (),
     "distributed": ("sweeps/workers.py",),
     "xarray": ("sweeps/*.py",),

@@ -25,7 +25,7 @@ from support.paths import ROOT
 from support.processes import executable
 
 PACKAGE = "gear_dynamics_ros"
-EXECUTABLES = ("analyze", "drive", "gearbox", "identify", "replay", "simulate", "sweep")
+EXECUTABLES = ("analyze", "drive", "gearbox", "identify", "replay", "reproduce", "simulate", "sweep")
 SHARED = (
     "package.xml",
     "config/fastdds_local.xml",
