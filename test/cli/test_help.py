@@ -19,6 +19,7 @@ COMMANDS: Final = [
     ["analyze"],
     ["sweep"],
     ["identify"],
+    ["reproduce"],
     ["urdf"],
 ]
 CALL: Final = """
