@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from fnmatch import fnmatchcase
 from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
@@ -12,8 +11,7 @@ import numpy as np
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import Specification, specifications
 from gear_dynamics_ros.parameters.checks import check_value
-from gear_dynamics_ros.parameters.hints import shortened
-from gear_dynamics_ros.parameters.tree import specification_of
+from gear_dynamics_ros.parameters.entries import Entry, entries_named
 
 MOST_VALUES: Final = 100_000
 # Unit that may be written: the SI unit it stands for, and its size in it.
@@ -32,22 +30,14 @@ STARTS: Final = {
 }
 AxisValue = float | int | str
 _T = TypeVar("_T")
-_ENTRY: Final = re.compile(r"(?P<name>[^\[\]]+)\[(?P<index>\d+)\]")
 _NUMBER: Final = re.compile(r"(?P<number>[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?)(?P<unit>[A-Za-z]*)")
-
-
-class Target(NamedTuple):
-    """A parameter, or one entry of a list, that an axis sets."""
-
-    name: str  # dotted
-    entry: int | None  # index from 0 into a list
 
 
 class Axis(NamedTuple):
     """One swept quantity; the parameters that it sets all get the same value."""
 
     name: str  # as it was written: a name, a pattern with *, or one of STARTS
-    targets: tuple[Target, ...]  # empty for one of STARTS
+    targets: tuple[Entry, ...]  # empty for one of STARTS
     values: tuple[AxisValue, ...]  # SI
     unit: str
     meaning: str
@@ -65,35 +55,19 @@ def parse_axis(text: str) -> Axis:
     if name in STARTS:
         unit, meaning = STARTS[name]
         return Axis(name, (), _numbers(name, written, unit), unit, meaning)
-    targets = _targets(name)
+    targets = entries_named(name)
     rows = [specifications()[target.name] for target in targets]
     unit, meaning = rows[0].unit, rows[0].help
+    if rows[0].type is bool:
+        raise UsageError(f"{name} is true or false, which can't be swept: use --set")
     if any((row.unit, row.element) != (unit, rows[0].element) for row in rows):
-        raise UsageError(f"{name} names parameters of different kinds: {_listed(targets)}")
+        raise UsageError(f"{name} names parameters of different kinds: {', '.join(map(str, targets))}")
     values = _values(name, written, rows[0])
     for value in values:
         for target, row in zip(targets, rows, strict=True):
-            if target.entry is None:
+            if target.place is None:
                 check_value(row, value)
     return Axis(name, targets, values, unit, meaning)
-
-
-def _targets(name: str) -> tuple[Target, ...]:
-    entry = _ENTRY.fullmatch(name)
-    bare, index = (entry["name"], int(entry["index"])) if entry else (name, None)
-    if "*" in bare:
-        names = [known for known in specifications() if fnmatchcase(known, bare)]
-        if not names:
-            raise UsageError(f"no parameter matches {shortened(bare)}: docs/parameters.md lists them all")
-    else:
-        names = [specification_of(bare).name]
-    for known in names:
-        row = specifications()[known]
-        if row.type is bool or (row.type is tuple) != (index is not None):
-            kind = "a list: name one entry, as in" if row.type is tuple else "no list of numbers, unlike"
-            kind = "true or false, which can't be swept: use --set, not" if row.type is bool else kind
-            raise UsageError(f"{known} is {kind} mesh.error_cos[0]")
-    return tuple(Target(known, index) for known in names)
 
 
 def _values(name: str, written: str, row: Specification) -> tuple[AxisValue, ...]:
@@ -150,7 +124,3 @@ def _distinct(name: str, values: tuple[_T, ...]) -> tuple[_T, ...]:
         twice = next(value for value in values if values.count(value) > 1)
         raise UsageError(f"{name}: {twice!r} is given twice: give each value once")
     return values
-
-
-def _listed(targets: tuple[Target, ...]) -> str:
-    return ", ".join(target.name for target in targets)

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.parameters import Parameters, specifications, updated
+from gear_dynamics_ros.parameters import Parameters, specifications
+from gear_dynamics_ros.parameters.entries import Entry, with_entries
 from gear_dynamics_ros.simulation.orbit import SAMPLES_PER_PERIOD
 from gear_dynamics_ros.sweeps.axis import Axis, AxisValue
 from gear_dynamics_ros.sweeps.point import Measurement
@@ -100,15 +101,12 @@ class SweepPlan:
 
     def parameters_at(self, point: Index) -> Parameters:
         """Parameters at ``point``. Raises UsageError if they don't fit together."""
-        values: dict[str, Any] = {"model": self.models[point[0]]}
-        flat = self.parameters.to_flat()
+        values: dict[Entry, Any] = {Entry("model", None): self.models[point[0]]}
         for axis, i in zip(self.axes, point[2:], strict=True):
-            for name, entry in axis.targets:
-                if entry is None:
-                    values[name] = axis.values[i]
-                else:
-                    values[name] = _with_entry(name, values.get(name, flat[name]), entry, axis.values[i])
-        return updated(self.parameters, values)
+            for target in axis.targets:
+                target.value(self.parameters)  # an entry that the list does not have can't be set
+                values[target] = axis.values[i]
+        return with_entries(self.parameters, values)
 
     def to_json(self) -> str:
         """The plan as text, by which a folder of results is recognised."""
@@ -130,14 +128,6 @@ def _travel(axis: Axis, way: str, length: int) -> Sequence[int]:
     return sorted(range(length), key=lambda i: values[i], reverse=way == "down")
 
 
-def _with_entry(name: str, before: Any, entry: int, value: AxisValue) -> tuple[Any, ...]:
-    if entry >= len(before):
-        raise UsageError(
-            f"{name}[{entry}]: the list has {len(before)} entries; give it that many with --set {name}=[...]"
-        )
-    return (*before[:entry], value, *before[entry + 1 :])
-
-
 def _is_numeric(axis: Axis) -> bool:
     return not any(isinstance(value, str) for value in axis.values)
 
@@ -147,11 +137,11 @@ def _require_axes(axes: Sequence[Axis]) -> None:
         raise UsageError("a sweep needs at least one range: give --over NAME=START:STOP:COUNT")
     seen: dict[str, str] = {}
     for axis in axes:
-        for name in [f"{target.name}[{target.entry}]" for target in axis.targets] or [axis.name]:
+        for name in [str(target) for target in axis.targets] or [axis.name]:
             if name in seen:
                 raise UsageError(f"{axis.name} and {seen[name]} set the same parameter: give it once")
             seen[name] = axis.name
-            if name.startswith("model["):
+            if name == "model":
                 raise UsageError("model can't be an axis: give --models")
 
 

@@ -169,7 +169,7 @@ def _coordinates(plan: SweepPlan) -> dict[str, Any]:
 
 
 def _axis_attributes(axis: Axis) -> dict[str, str]:
-    sets = ", ".join(target.name for target in axis.targets)
+    sets = ", ".join(map(str, axis.targets))
     return {"units": axis.unit or "1", "long_name": axis.meaning, **({"sets": sets} if sets else {})}
 
 
