@@ -313,6 +313,7 @@ def forces_figure(results: PaperResults, cases: Mapping[str, str]) -> Figure:
         else:
             periods, shown = _last_periods(samples)
             axis.plot(periods, shown.contact_force(GEAR), color=colour)
+            axis.set_xlim(0.0, SHOWN_PERIODS)
         axis.axhline(results.static_force, color=palette.GREY, linewidth=0.9, linestyle="--")
         axis.set_title(f"{title} (dashed: T_M / r_b)")
         axis.set_ylabel("bearing contact\nforce (N)")
@@ -355,6 +356,7 @@ def _draw_channel(axis: Axes, samples: Samples | None, channel: str, scale: floa
         return
     periods, shown = _last_periods(samples)
     axis.plot(periods, scale * shown[channel], color=colour)
+    axis.set_xlim(0.0, SHOWN_PERIODS)
     axis.ticklabel_format(axis="y", useOffset=False)
 
 
