@@ -72,14 +72,13 @@ class Effort(NamedTuple):
     """How finely the scans are run, and for how long each case."""
 
     name: str
-    speed_step: int  # rpm, of the scans of the first set of parameters
-    other_speed_step: int  # rpm, of those of the other sets
+    speed_step: int  # rpm
     restitution_step: float
     measurement: Measurement
 
 
-QUICK: Final = Effort("quick", 200, 400, 0.05, Measurement(transient=600, keep=400))
-FULL: Final = Effort("full", 20, 40, 0.01, Measurement(transient=3000, keep=1000))
+QUICK: Final = Effort("quick", 200, 0.05, Measurement(transient=600, keep=400))
+FULL: Final = Effort("full", 20, 0.01, Measurement(transient=3000, keep=1000))
 
 NAMED_CASES: Final[Mapping[str, Case]] = {
     **{f"{model} at {speed} rpm": Case("3.1", model, speed) for model in MODELS for speed in NAMED_SPEEDS},
@@ -112,15 +111,15 @@ def speed_scan(model: str) -> str:
     return f"{model} over speed"
 
 
-def scan_cases(name: str, speed_step: int, restitution_step: float) -> list[Case]:
+def scan_cases(name: str, effort: Effort) -> list[Case]:
     """The cases of the scan ``name``, one of SCANS, in ascending order."""
     if name == RESTITUTION_SCAN:
         return [
             Case("3.3", "improved", RESTITUTION_SPEED, restitution=eta)
-            for eta in _restitutions(restitution_step)
+            for eta in _restitutions(effort.restitution_step)
         ]
     model = name.split()[0]
-    grid = range(SPEED_RANGE[0], SPEED_RANGE[1] + 1, speed_step)
+    grid = range(SPEED_RANGE[0], SPEED_RANGE[1] + 1, effort.speed_step)
     return [Case("3.1", model, speed) for speed in sorted({*grid, *NAMED_SPEEDS})]
 
 
@@ -130,7 +129,7 @@ def _restitutions(step: float) -> Sequence[float]:
     return sorted({eta for eta in grid if eta >= LEAST_RESTITUTION} | set(RESTITUTIONS) | {0.08})
 
 
-def needed_cases(speed_step: int, restitution_step: float) -> list[Case]:
+def needed_cases(effort: Effort) -> list[Case]:
     """Every case that a named case or a scan asks for, once."""
-    scans = (case for name in SCANS for case in scan_cases(name, speed_step, restitution_step))
+    scans = (case for name in SCANS for case in scan_cases(name, effort))
     return list(dict.fromkeys([*NAMED_CASES.values(), *scans]))

@@ -125,7 +125,7 @@ def chaos_of_the_new_bearing(results: PaperResults) -> Sequence[ClaimCheck]:
             shares[0] > shares[1],
         ),
         ClaimCheck(
-            f"DTE ranges over {lengths[0]:.1f} um in compared, {lengths[1]:.1f} um in traditional (means)",
+            f"DTE ranges over {lengths[0]:.1f} µm in compared, {lengths[1]:.1f} µm in traditional (means)",
             lengths[0] > lengths[1],
         ),
         ClaimCheck(
@@ -159,7 +159,7 @@ def fluctuation_of_dte(results: PaperResults) -> Sequence[ClaimCheck]:
     lengths = {model: _dte_length(scan) for model, scan in _scans(results).items()}
     return [
         ClaimCheck(
-            f"DTE ranges over {lengths[model]:.1f} um in {model}, {lengths['traditional']:.1f} um in "
+            f"DTE ranges over {lengths[model]:.1f} µm in {model}, {lengths['traditional']:.1f} µm in "
             "traditional (means over speed)",
             lengths[model] > lengths["traditional"],
         )
@@ -244,12 +244,12 @@ def regimes_with_bearing_and_film(results: PaperResults) -> Sequence[ClaimCheck]
             for model, regime in expected.items()
         ),
         ClaimCheck(
-            f"between the orders DTE has {lines['compared']:.2f} um (rms) in compared, "
-            f"{lines['traditional']:.2f} um in traditional",
+            f"between the orders DTE has {lines['compared']:.2f} µm (rms) in compared, "
+            f"{lines['traditional']:.2f} µm in traditional",
             lines["compared"] > lines["traditional"],
         ),
         ClaimCheck(
-            f"{lines['improved']:.2f} um with the film", lines["improved"] < FAR_FEWER * lines["compared"]
+            f"{lines['improved']:.2f} µm with the film", lines["improved"] < FAR_FEWER * lines["compared"]
         ),
     ]
 
@@ -273,7 +273,7 @@ def separation_from_the_sleeve(results: PaperResults) -> Sequence[ClaimCheck]:
         for model in MODELS
     }
     old = ranges["traditional"]
-    checks = [ClaimCheck(f"least penetration of traditional is {MICRO * old.least:.2f} um", old.least > 0.0)]
+    checks = [ClaimCheck(f"least penetration of traditional is {MICRO * old.least:.2f} µm", old.least > 0.0)]
     for model in ("compared", "improved"):
         samples = results.waveforms.get(f"{model} at 16500 rpm")
         apart = PERCENT * apart_share(samples, GEAR) if samples else 0.0
@@ -284,12 +284,12 @@ def separation_from_the_sleeve(results: PaperResults) -> Sequence[ClaimCheck]:
                 ranges[model].least <= 0.0,
             ),
             ClaimCheck(
-                f"mean penetration is {means['traditional']:.2f} um in traditional, {means[model]:.2f} um in "
+                f"mean penetration is {means['traditional']:.2f} µm in traditional, {means[model]:.2f} µm in "
                 f"{model}",
                 means["traditional"] > means[model],
             ),
             ClaimCheck(
-                f"it ranges over {MICRO * old.length:.2f} um and {MICRO * ranges[model].length:.2f} um",
+                f"it ranges over {MICRO * old.length:.2f} µm and {MICRO * ranges[model].length:.2f} µm",
                 old.length < ranges[model].length,
             ),
         ]
@@ -333,9 +333,9 @@ def dispersion_with_restitution(results: PaperResults) -> Sequence[ClaimCheck]:
     lines = [MICRO * between_orders(result) for result in found]
     etas = ", ".join(f"{eta:g}" for eta in RESTITUTIONS)
     return [
-        ClaimCheck(f"DTE ranges over {_list(lengths)} um at eta {etas}", _rises(lengths)),
-        ClaimCheck(f"the Poincaré points spread over {_list(spreads)} um", _rises(spreads)),
-        ClaimCheck(f"below the mesh frequency DTE has {_list(lines)} um (rms)", _rises(lines)),
+        ClaimCheck(f"DTE ranges over {_list(lengths)} µm at eta {etas}", _rises(lengths)),
+        ClaimCheck(f"the Poincaré points spread over {_list(spreads)} µm", _rises(spreads)),
+        ClaimCheck(f"below the mesh frequency DTE has {_list(lines)} µm (rms)", _rises(lines)),
     ]
 
 
@@ -360,9 +360,9 @@ def effect_of_roughness(results: PaperResults) -> Sequence[ClaimCheck]:
     lengths = [MICRO * dte_range(result).length for result in found]
     angles = [_angle_spread(results, name) for name in names]
     return [
-        ClaimCheck(f"DTE ranges over {_list(lengths)} um at Ra 0.8, 1.6, 3.2 um", _rises(lengths)),
-        ClaimCheck(f"the motion at Ra 0.8 um is {found[0].regime}", found[0].regime == "periodic"),
-        ClaimCheck(f"that at Ra 3.2 um is {found[-1].regime}", found[-1].regime == "chaotic"),
+        ClaimCheck(f"DTE ranges over {_list(lengths)} µm at Ra 0.8, 1.6, 3.2 µm", _rises(lengths)),
+        ClaimCheck(f"the motion at Ra 0.8 µm is {found[0].regime}", found[0].regime == "periodic"),
+        ClaimCheck(f"that at Ra 3.2 µm is {found[-1].regime}", found[-1].regime == "chaotic"),
         ClaimCheck(f"the pressure angle at mesh phase 0 spreads over {_list(angles, 4)} deg", _rises(angles)),
     ]
 
@@ -386,10 +386,10 @@ def effect_of_dimension(results: PaperResults) -> Sequence[ClaimCheck]:
     regimes = [str(result.regime) for result in found]
     return [
         ClaimCheck(
-            f"DTE ranges over {_list(lengths)} um at D 1.1, 1.5, 1.9",
+            f"DTE ranges over {_list(lengths)} µm at D 1.1, 1.5, 1.9",
             lengths[-1] < lengths[0] and abs(by_dimension) < PERCENT * SLIGHT_CHANGE,
         ),
-        ClaimCheck(f"the Poincaré points spread over {_list(spreads)} um", _rises(spreads)),
+        ClaimCheck(f"the Poincaré points spread over {_list(spreads)} µm", _rises(spreads)),
         ClaimCheck(f"the motion is {', '.join(regimes)}", set(regimes) == {"periodic"}),
         ClaimCheck(
             f"over D the range changes by {by_dimension:.1f} %, over Ra by {by_roughness:.1f} %",
@@ -412,10 +412,10 @@ def shape_of_the_profile(results: PaperResults) -> Sequence[ClaimCheck]:
     other_counts = [profile.peaks_per_tooth for profile in rough]
     other_heights = [MICRO * profile.peak_height for profile in fractal]
     return [
-        ClaimCheck(f"peaks are {_list(heights)} um high at Ra 0.8, 1.6, 3.2 um", _rises(heights)),
+        ClaimCheck(f"peaks are {_list(heights)} µm high at Ra 0.8, 1.6, 3.2 µm", _rises(heights)),
         ClaimCheck(f"their number is {_list(other_counts, 1)} a tooth", _hardly_changes(other_counts)),
         ClaimCheck(f"their number is {_list(counts, 1)} a tooth at D 1.1, 1.5, 1.9", _rises(counts)),
-        ClaimCheck(f"they are {_list(other_heights)} um high", _hardly_changes(other_heights)),
+        ClaimCheck(f"they are {_list(other_heights)} µm high", _hardly_changes(other_heights)),
     ]
 
 
@@ -486,7 +486,7 @@ CLAIMS: Final[tuple[Claim, ...]] = (
     ),
     Claim(
         12,
-        "The range of DTE grows with roughness; the motion goes from periodic to chaotic by Ra 3.2 um; the "
+        "The range of DTE grows with roughness; the motion goes from periodic to chaotic by Ra 3.2 µm; the "
         "pressure angle goes with it.",
         effect_of_roughness,
     ),

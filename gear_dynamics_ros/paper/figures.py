@@ -53,7 +53,7 @@ class PaperFigure(NamedTuple):
 
 def paper_figures(published: PaperResults, refined: PaperResults) -> list[PaperFigure]:
     """All figures of ``published``, and one beside ``refined``."""
-    at_16500 = {model: f"{model} at 16500 rpm" for model in MODELS}
+    at_16500 = {f"{model}, 16500 rpm": f"{model} at 16500 rpm" for model in MODELS}
     return [
         PaperFigure("paper_figure_2", "Figure 2. Tooth profiles.", lambda: profiles_figure(published)),
         PaperFigure(
@@ -177,7 +177,7 @@ def speed_spectra_figure(results: PaperResults) -> Figure:
     """Amplitude of DTE over speed and mesh order, one panel a model."""
     figure = Figure(figsize=(10.0, 9.6), layout="constrained")
     axes = figure.subplots(len(MODELS), 1, sharex=True)
-    orders = spectrum_orders(results.measurement.keep)
+    orders = spectrum_orders(results.effort.measurement.keep)
     shown = orders <= SPECTRUM_ORDERS
     for axis, model in zip(axes, MODELS, strict=True):
         scan = results.scan(speed_scan(model))
@@ -274,7 +274,7 @@ def lines_figure(results: PaperResults, cases: Mapping[str, str]) -> Figure:
 
 
 def _draw_lines(axis: Axes, results: PaperResults, name: str, colour: str) -> None:
-    orders = spectrum_orders(results.measurement.keep)
+    orders = spectrum_orders(results.effort.measurement.keep)
     shown = (orders > 0.0) & (orders <= SPECTRUM_ORDERS)
     amplitudes = MICRO * results.at(name).point.arrays["dte_spectrum"][shown]
     axis.semilogy(orders[shown], np.maximum(amplitudes, LEAST_AMPLITUDE), color=colour, linewidth=0.8)
@@ -313,6 +313,7 @@ def forces_figure(results: PaperResults, cases: Mapping[str, str]) -> Figure:
         else:
             periods, shown = _last_periods(samples)
             axis.plot(periods, shown.contact_force(GEAR), color=colour)
+            axis.set_xlim(0.0, SHOWN_PERIODS)
         axis.axhline(results.static_force, color=palette.GREY, linewidth=0.9, linestyle="--")
         axis.set_title(f"{title} (dashed: T_M / r_b)")
         axis.set_ylabel("bearing contact\nforce (N)")
@@ -355,6 +356,7 @@ def _draw_channel(axis: Axes, samples: Samples | None, channel: str, scale: floa
         return
     periods, shown = _last_periods(samples)
     axis.plot(periods, scale * shown[channel], color=colour)
+    axis.set_xlim(0.0, SHOWN_PERIODS)
     axis.ticklabel_format(axis="y", useOffset=False)
 
 

@@ -90,12 +90,12 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def _introduction(report: PaperReport) -> str:
-    measurement, results = report.effort.measurement, report.one_set.results
+    measurement = report.effort.measurement
     return (
         f"Written by `reproduce` ({report.effort.name} run: {measurement.transient} mesh periods dropped, "
         f"{measurement.keep} kept, {measurement.steps_per_period} steps a period; speeds every "
-        f"{results.speed_step} rpm and those that the text names). Every run starts with the drive flank "
-        "touching, and uses the published equations with `config/paper.yaml`.\n\n"
+        f"{report.effort.speed_step} rpm and those that the text names). Every run starts with the drive "
+        "flank touching, and uses the published equations with `config/paper.yaml`.\n\n"
         "The paper leaves some parameters open, among them the restitution of sections 3.1, 3.2 and 3.4. "
         "*One set* has one value for all of them, *by section* has one for each section.\n\n"
         "- Forces are those of the bearing contact on the driving gear; the driven gear is equal.\n"

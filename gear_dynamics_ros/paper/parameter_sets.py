@@ -10,7 +10,7 @@ from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.parameters.changes import updated
 
 # Restitution of the runs for which a section of the paper names none, where each may have its own.
-RESTITUTION_BY_SECTION: Final[Mapping[str, float]] = {"3.1": 0.5, "3.2": 0.95, "3.4": 0.2}
+RESTITUTION_BY_SECTION: Final[Mapping[str, float]] = {"3.1": 0.95, "3.2": 0.95, "3.4": 0.2}
 # What config/gearbox.yaml has instead of the published equations.
 REFINED_SWITCHES: Final[Mapping[str, str]] = {
     "mesh_geometry": "exact",

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from gear_dynamics_ros.paper.cases import Effort
+from gear_dynamics_ros.paper.cases import Effort, ParameterSet
 from gear_dynamics_ros.paper.page import PaperReport, paper_json, paper_page
 from gear_dynamics_ros.paper.parameter_sets import one_set, refined_set, set_by_section
 from gear_dynamics_ros.paper.results import run_cases, run_count
 from gear_dynamics_ros.paper.verdicts import compare
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.sweeps.point import measure
+from gear_dynamics_ros.sweeps.point import Measurement, PointResult, measure
 from gear_dynamics_ros.system.files import output_file, replace_files
 
 PAGE: Final = "paper.md"
@@ -29,18 +29,33 @@ class Reproduction(NamedTuple):
     @property
     def runs(self) -> int:
         """How many runs there are."""
-        others = 2 * run_count(self.effort, self.effort.other_speed_step)
-        return run_count(self.effort, self.effort.speed_step) + others
+        return len(self._sets()) * run_count(self.effort)
+
+    def _sets(self) -> tuple[ParameterSet, ParameterSet, ParameterSet]:
+        return one_set(self.parameters), set_by_section(self.parameters), refined_set(self.parameters)
 
     def report(self, done: Callable[[], object]) -> PaperReport:
         """Run everything; ``done`` is called after each run, on any thread."""
-        steps = (self.effort.speed_step, self.effort.other_speed_step, self.effort.other_speed_step)
-        sets = (one_set(self.parameters), set_by_section(self.parameters), refined_set(self.parameters))
-        comparisons = (
-            compare(run_cases(parameter_set, self.effort, step, measure, self.workers, done))
-            for parameter_set, step in zip(sets, steps, strict=True)
-        )
+        measure_once = RememberedPoints()
+        comparisons = [
+            compare(run_cases(parameter_set, self.effort, measure_once, self.workers, done))
+            for parameter_set in self._sets()
+        ]
         return PaperReport(self.effort, *comparisons)
+
+
+class RememberedPoints:
+    """``measure`` that runs no parameters twice: sets of parameters have many runs in common."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[Parameters, Measurement], PointResult] = {}
+
+    def __call__(self, parameters: Parameters, measurement: Measurement) -> PointResult:
+        """As ``measure``."""
+        key = (parameters, measurement)
+        if key not in self._known:
+            self._known[key] = measure(parameters, measurement)
+        return self._known[key]
 
 
 def write_report(report: PaperReport, folder: Path, progress: Callable[[int, int], object]) -> list[Path]:

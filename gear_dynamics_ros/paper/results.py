@@ -50,9 +50,7 @@ class PaperResults:
     """What all cases gave under one set of parameters."""
 
     parameter_set: ParameterSet
-    speed_step: int  # rpm
-    restitution_step: float
-    measurement: Measurement
+    effort: Effort
     cases: Mapping[Case, CaseResult]
     waveforms: Mapping[str, Samples]  # by the names of WAVEFORM_CASES, those whose run did not end before
 
@@ -62,7 +60,7 @@ class PaperResults:
 
     def scan(self, name: str) -> list[CaseResult]:
         """Results of the scan ``name``, in ascending order."""
-        return [self.cases[case] for case in scan_cases(name, self.speed_step, self.restitution_step)]
+        return [self.cases[case] for case in scan_cases(name, self.effort)]
 
     @property
     def static_force(self) -> float:
@@ -78,7 +76,6 @@ def static_force(parameters: Parameters) -> float:
 def run_cases(
     parameter_set: ParameterSet,
     effort: Effort,
-    speed_step: int,
     measure: Measure,
     workers: int,
     done: Callable[[], object],
@@ -87,7 +84,7 @@ def run_cases(
 
     Raises UsageError if a value of the set does not suit its parameter.
     """
-    cases = needed_cases(speed_step, effort.restitution_step)
+    cases = needed_cases(effort)
 
     def one(case: Case) -> CaseResult:
         point = measure(parameter_set.of(case), effort.measurement)
@@ -104,17 +101,15 @@ def run_cases(
     waveforms = zip(WAVEFORM_CASES, in_threads(waveform, WAVEFORM_CASES, workers), strict=True)
     return PaperResults(
         parameter_set,
-        speed_step,
-        effort.restitution_step,
-        effort.measurement,
+        effort,
         dict(zip(cases, results, strict=True)),
         {name: samples for name, samples in waveforms if samples is not None},
     )
 
 
-def run_count(effort: Effort, speed_step: int) -> int:
+def run_count(effort: Effort) -> int:
     """How many runs ``run_cases`` makes."""
-    return len(needed_cases(speed_step, effort.restitution_step)) + len(WAVEFORM_CASES)
+    return len(needed_cases(effort)) + len(WAVEFORM_CASES)
 
 
 def in_threads(act: Callable[[Item], T], items: Iterable[Item], workers: int) -> list[T]:

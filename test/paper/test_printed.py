@@ -41,10 +41,10 @@ def test_what_can_not_be_compared_says_why() -> None:
 
 @pytest.mark.parametrize("effort", [QUICK, FULL], ids=lambda effort: effort.name)
 def test_scans_hold_the_named_speeds_and_no_case_twice(effort) -> None:
-    cases = needed_cases(effort.speed_step, effort.restitution_step)
+    cases = needed_cases(effort)
     assert len(set(cases)) == len(cases)
     for model in ("traditional", "compared", "improved"):
-        speeds = [case.speed for case in scan_cases(f"{model} over speed", effort.speed_step, 0.1)]
+        speeds = [case.speed for case in scan_cases(f"{model} over speed", effort)]
         assert speeds == sorted(set(speeds))
         assert {2520, 3575, 5340, 8740} <= set(speeds)
         assert (speeds[0], speeds[-1]) == (2000, 18000)

@@ -17,7 +17,7 @@ from gear_dynamics_ros.sweeps.point import Measurement
 from support.paths import ROOT
 from support.processes import executable
 
-COARSE = Effort("coarse", 8000, 16000, 0.5, Measurement(transient=100, keep=160, steps_per_period=60))
+COARSE = Effort("coarse", 8000, 0.5, Measurement(transient=100, keep=160, steps_per_period=60))
 PNG = b"\x89PNG\r\n"
 
 

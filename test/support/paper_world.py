@@ -10,7 +10,14 @@ import numpy as np
 from gear_dynamics_ros.analysis.chaos import Regime
 from gear_dynamics_ros.channels import CHANNEL_NAMES
 from gear_dynamics_ros.chunk import Samples
-from gear_dynamics_ros.paper.cases import NAMED_CASES, WAVEFORM_CASES, Case, ParameterSet, needed_cases
+from gear_dynamics_ros.paper.cases import (
+    NAMED_CASES,
+    WAVEFORM_CASES,
+    Case,
+    Effort,
+    ParameterSet,
+    needed_cases,
+)
 from gear_dynamics_ros.paper.results import CaseResult, PaperResults
 from gear_dynamics_ros.parameters import load_parameters
 from gear_dynamics_ros.sweeps.point import (
@@ -23,8 +30,7 @@ from gear_dynamics_ros.sweeps.point import (
 )
 from support.paths import ROOT
 
-MEASUREMENT = Measurement(transient=10, keep=100)
-SPEED_STEP, RESTITUTION_STEP = 500, 0.1
+EFFORT = Effort("world", 500, 0.1, Measurement(transient=10, keep=100))
 # First and last chaotic speed, rpm; length of the range of DTE, um; LDMF.
 OF_MODEL = {
     "traditional": (5340.0, 9000.0, 15.0, 5.0),
@@ -52,13 +58,11 @@ def opposite(case: Case) -> Case:
 def world(of: Callable[[Case], Case] = as_printed) -> PaperResults:
     """Results in which each case gives what the paper says of the case that ``of`` makes of it."""
     parameters = load_parameters(ROOT / "config" / "paper.yaml")
-    cases = {case: CaseResult(case, _point(of(case))) for case in needed_cases(SPEED_STEP, RESTITUTION_STEP)}
+    cases = {case: CaseResult(case, _point(of(case))) for case in needed_cases(EFFORT)}
     waveforms = {name: _waveform(of(NAMED_CASES[name])) for name in WAVEFORM_CASES}
     return PaperResults(
         ParameterSet("world", "world", parameters, {}),
-        SPEED_STEP,
-        RESTITUTION_STEP,
-        MEASUREMENT,
+        EFFORT,
         cases,
         waveforms,
     )
@@ -96,11 +100,11 @@ def _point(case: Case) -> PointResult:
     }
     if case.section == "3.4":
         scalars["section_spread"] = 1e-6 * (case.fractal_dimension or 1.0)
-    orders = spectrum_orders(MEASUREMENT.keep)
+    orders = spectrum_orders(EFFORT.measurement.keep)
     spectrum = np.where(orders < 1.0, length / 10.0, 0.0)
     if case.section == "3.2":
         spectrum *= {"traditional": 0.1, "compared": 1.0, "improved": 0.2}[case.model]
-    section = np.full(MEASUREMENT.keep, 20e-6)
+    section = np.full(EFFORT.measurement.keep, 20e-6)
     arrays = {"section_dte": section, "section_dte_rate": 0.0 * section, "dte_spectrum": spectrum}
     return PointResult(scalars, arrays, DONE)
 
@@ -117,7 +121,7 @@ def _dte_length(case: Case) -> float:
 
 def _shares(case: Case) -> tuple[float, float]:
     """On the drive flank and on the back flank."""
-    odd = round(case.speed / SPEED_STEP) % 2
+    odd = round(case.speed / EFFORT.speed_step) % 2
     if case.model == "traditional":
         return 0.9, 2.66e-4 if case.speed == 8740.0 else 0.0
     if case.model == "compared":
