@@ -41,6 +41,7 @@ SHOWN_TEETH: Final = 3  # in the diagram of the profile
 LEAST_AMPLITUDE: Final = 1e-3  # um, of spectra
 SPECTRUM_ORDERS: Final = 3.0
 SECTION_POINTS: Final = 200  # drawn at each speed
+DOT: Final = 1.6  # points, of each of them
 
 
 class PaperFigure(NamedTuple):
@@ -170,7 +171,7 @@ def _draw_bifurcation(axis: Axes, scan: Sequence[CaseResult], colour: str) -> No
     for result in scan:
         points = MICRO * result.point.arrays["section_dte"][-SECTION_POINTS:]
         speeds = np.full(len(points), result.case.speed)
-        axis.plot(speeds, points, ".", color=colour, markersize=0.9, markeredgewidth=0, rasterized=True)
+        axis.plot(speeds, points, ".", color=colour, markersize=DOT, markeredgewidth=0, rasterized=True)
 
 
 def speed_spectra_figure(results: PaperResults) -> Figure:
