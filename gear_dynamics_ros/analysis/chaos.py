@@ -18,6 +18,8 @@ HIGHEST_FREQUENCY: Final = 4.0 * math.pi / 5.0
 GOLDEN: Final = (math.sqrt(5.0) - 1.0) / 2.0  # spreads the values of c evenly, away from simple ratios
 LAG_SHARE: Final = 10  # displacements over lags up to a tenth of the length, as the authors recommend
 MIN_VALUES: Final = 10 * LAG_SHARE
+MOST_TURNS: Final = 100  # of backfitting; a few are enough unless a cycle is held only a few times
+BACKFITTED: Final = 1e-12  # change of a turn, of the largest value
 MIN_TURNS: Final = 4  # fewer turns of a cycle would take most of the motion out with it
 
 # What is smaller than this part of the largest DTE is rounding or the rest of a transient. Motions that
@@ -64,19 +66,28 @@ def zero_one_test(values: NDArray[np.float64], cycles: Sequence[int] = ()) -> fl
     displacement = _mean_square_displacement(rest / rest.std(), count // LAG_SHARE)
     lags = np.arange(displacement.shape[1]) - (displacement.shape[1] - 1) / 2.0
     centred = displacement - displacement.mean(axis=1, keepdims=True)
-    covariance = centred @ lags
+    # Not centred @ lags: for a product of this size the threads of BLAS would occupy all processors a while.
+    covariance = np.einsum("ij,j->i", centred, lags)
     spread = np.sqrt((centred * centred).sum(axis=1) * (lags @ lags))
     return float(np.median(np.divide(covariance, spread, out=np.zeros_like(spread), where=spread > 0.0)))
 
 
 def _without_cycles(values: NDArray[np.float64], cycles: Sequence[int]) -> NDArray[np.float64]:
-    """``values`` (n,) less the sum of a function of each of the ``cycles``, by least squares."""
-    places = np.arange(len(values))
+    """``values`` (n,) less the sum of a function of each of the ``cycles``, by least squares.
+
+    The mean at each place of a cycle is its function where there is one cycle; several take turns until
+    nothing changes (backfitting).
+    """
     fitted = sorted({cycle for cycle in cycles if 1 < cycle <= len(values) // MIN_TURNS})
-    if not fitted:
-        return values
-    members = np.hstack([places[:, None] % cycle == np.arange(cycle) for cycle in fitted]).astype(np.float64)
-    rest: NDArray[np.float64] = values - members @ np.linalg.lstsq(members, values)[0]
+    places = [np.arange(len(values)) % cycle for cycle in fitted]
+    settled = BACKFITTED * float(np.abs(values).max(initial=0.0))
+    rest = values
+    for _ in range(MOST_TURNS if len(fitted) > 1 else len(fitted)):
+        before = rest
+        for place in places:
+            rest = rest - (np.bincount(place, rest) / np.bincount(place))[place]
+        if np.abs(rest - before).max() <= settled:
+            break
     return rest
 
 

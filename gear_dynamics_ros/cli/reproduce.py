@@ -38,10 +38,11 @@ def _reproduce(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--output {output} is a file: name a folder")
     # Imported here: loading the kernel takes time, which help and refused options need not wait for.
     from gear_dynamics_ros.paper.cases import FULL, QUICK
+    from gear_dynamics_ros.paper.parameter_sets import PARAMETER_FILE
     from gear_dynamics_ros.paper.reproduction import Reproduction, write_report
     from gear_dynamics_ros.sweeps.workers import processor_count
 
-    parameters = load_parameters(share_file("config/paper.yaml"))
+    parameters = load_parameters(share_file(PARAMETER_FILE))
     effort = QUICK if arguments.quick else FULL
     work = Reproduction(parameters, effort, arguments.workers or processor_count())
     count = itertools.count(1)

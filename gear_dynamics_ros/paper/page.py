@@ -9,6 +9,7 @@ from typing import Any, Final, NamedTuple
 from gear_dynamics_ros.paper.cases import Effort
 from gear_dynamics_ros.paper.claims import MIXED
 from gear_dynamics_ros.paper.momentum import MomentumBalance, momentum_balances
+from gear_dynamics_ros.paper.parameter_sets import PARAMETER_FILE
 from gear_dynamics_ros.paper.verdicts import AGREEMENT, ComparedNumber, PaperComparison
 
 UNITS: Final[Mapping[str, str]] = {"um": "µm", "1": ""}  # as the page writes them
@@ -95,7 +96,7 @@ def _introduction(report: PaperReport) -> str:
         f"Written by `reproduce` ({report.effort.name} run: {measurement.transient} mesh periods dropped, "
         f"{measurement.keep} kept, {measurement.steps_per_period} steps a period; speeds every "
         f"{report.effort.speed_step} rpm and those that the text names). Every run starts with the drive "
-        "flank touching, and uses the published equations with `config/paper.yaml`.\n\n"
+        f"flank touching, and uses the published equations with `{PARAMETER_FILE}`.\n\n"
         "The paper leaves some parameters open, among them the restitution of sections 3.1, 3.2 and 3.4. "
         "*One set* has one value for all of them, *by section* has one for each section.\n\n"
         "- Forces are those of the bearing contact on the driving gear; the driven gear is equal.\n"
@@ -253,7 +254,7 @@ def _parameters(report: PaperReport) -> str:
         ("surface: offset, driving", f"{parameters.surface.driving.offset:g}", "rad"),
         ("surface: offset, driven", f"{parameters.surface.driven.offset:g}", "rad"),
     ]
-    return "What the paper leaves open, from `config/paper.yaml`:\n\n" + _table(
+    return f"What the paper leaves open, from `{PARAMETER_FILE}`:\n\n" + _table(
         ("parameter", "value", "unit"), rows
     )
 

@@ -10,6 +10,7 @@ import pytest
 from gear_dynamics_ros.paper.cases import Effort
 from gear_dynamics_ros.paper.claims import CLAIMS
 from gear_dynamics_ros.paper.momentum import momentum_balances
+from gear_dynamics_ros.paper.parameter_sets import PARAMETER_FILE
 from gear_dynamics_ros.paper.printed import PRINTED_NUMBERS
 from gear_dynamics_ros.paper.reproduction import Reproduction, write_report
 from gear_dynamics_ros.parameters import load_parameters
@@ -24,7 +25,7 @@ PNG = b"\x89PNG\r\n"
 @pytest.fixture(scope="module")
 def report():
     done: list[int] = []
-    work = Reproduction(load_parameters(ROOT / "config" / "paper.yaml"), COARSE, 2)
+    work = Reproduction(load_parameters(ROOT / PARAMETER_FILE), COARSE, 2)
     made = work.report(lambda: done.append(1))
     assert len(done) == work.runs
     return made
