@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, BinaryIO, Final, NamedTuple, cast
 
@@ -11,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
+from PIL import Image
 
 from gear_dynamics_ros import palette
 from gear_dynamics_ros.analysis.comparison import ChannelDifference
@@ -147,6 +149,15 @@ def recording_figures(
 def write_png(figure: Figure, stream: BinaryIO) -> None:
     """Write ``figure`` to ``stream``. Raises OSError if that fails."""
     figure.savefig(stream, format="png")
+
+
+def write_small_png(figure: Figure, stream: BinaryIO) -> None:
+    """As ``write_png``, in 128 colours: a third of the size, for pictures that documents show."""
+    with io.BytesIO() as drawn:
+        write_png(figure, drawn)
+        picture = Image.open(drawn).convert("RGB")
+    small = picture.quantize(colors=128, dither=Image.Dither.NONE)
+    small.save(stream, format="PNG", optimize=True)
 
 
 @styled

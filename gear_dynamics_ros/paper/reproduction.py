@@ -64,7 +64,7 @@ def write_report(report: PaperReport, folder: Path, progress: Callable[[int, int
     ``progress`` is called with the number of figures drawn and that of all. Returns the paths. Raises
     GearboxError if a file can't be written.
     """
-    from gear_dynamics_ros.analysis.figures import write_png
+    from gear_dynamics_ros.analysis.figures import write_small_png
     from gear_dynamics_ros.paper.figures import drawn, paper_figures
 
     figures = paper_figures(report.one_set.results, report.refined.results)
@@ -76,6 +76,6 @@ def write_report(report: PaperReport, folder: Path, progress: Callable[[int, int
                 stream.write(text.encode())
         for count, figure in enumerate(figures, start=1):
             with output_file(draft / f"{figure.name}.png") as stream:
-                write_png(drawn(figure), stream)
+                write_small_png(drawn(figure), stream)
             progress(count, len(figures))
     return [folder / name for name in names]
