@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 import signal
 import sys
 import time
@@ -21,6 +20,7 @@ from gear_dynamics_ros.parameters import Parameters, load_parameters, read_setti
 from gear_dynamics_ros.system.command import SIGNALLED, run_command
 from gear_dynamics_ros.system.processes import noted_signals
 from gear_dynamics_ros.system.share import share_file
+from gear_dynamics_ros.system.threads import processor_count
 
 if TYPE_CHECKING:
     from gear_dynamics_ros.identification.objective import Problem
@@ -110,7 +110,7 @@ def _identify(arguments: argparse.Namespace) -> int:
     settings = SearchSettings(arguments.generations, arguments.population, arguments.seed)
     begin = FitJournal.reopen if arguments.resume else FitJournal.create
     journal = begin(arguments.output, request_of(problem, settings))
-    workers = arguments.workers or len(os.sched_getaffinity(0))
+    workers = arguments.workers or processor_count()
     with noted_signals() as received, ProgressLine() as line:
 
         def stopped() -> str:

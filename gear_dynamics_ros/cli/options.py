@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from typing import Final
+
+from gear_dynamics_ros.errors import UsageError
+
+MOST_WORKERS: Final = 1024
 
 
 def add_settings(parser: argparse.ArgumentParser) -> None:
@@ -14,3 +19,9 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help="override a parameter; may be repeated",
     )
+
+
+def require_workers(count: int | None) -> None:
+    """Raise UsageError if ``count`` of ``--workers`` is out of bounds; None: not given."""
+    if count is not None and not 1 <= count <= MOST_WORKERS:
+        raise UsageError(f"--workers = {count}: must be 1 to {MOST_WORKERS}")

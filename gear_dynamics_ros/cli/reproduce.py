@@ -8,13 +8,12 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from gear_dynamics_ros.cli.options import require_workers
 from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import load_parameters
 from gear_dynamics_ros.system.command import run_command
 from gear_dynamics_ros.system.share import share_file
-
-MOST_WORKERS = 1024
 
 
 def reproduce_main(argv: Sequence[str] | None = None) -> int:
@@ -32,15 +31,14 @@ def reproduce_main(argv: Sequence[str] | None = None) -> int:
 
 def _reproduce(arguments: argparse.Namespace) -> int:
     output = arguments.output
-    if arguments.workers is not None and not 1 <= arguments.workers <= MOST_WORKERS:
-        raise UsageError(f"--workers = {arguments.workers}: must be 1 to {MOST_WORKERS}")
+    require_workers(arguments.workers)
     if output.exists() and not output.is_dir():
         raise UsageError(f"--output {output} is a file: name a folder")
     # Imported here: loading the kernel takes time, which help and refused options need not wait for.
     from gear_dynamics_ros.paper.cases import FULL, QUICK
     from gear_dynamics_ros.paper.parameter_sets import PARAMETER_FILE
     from gear_dynamics_ros.paper.reproduction import Reproduction, write_report
-    from gear_dynamics_ros.sweeps.workers import processor_count
+    from gear_dynamics_ros.system.threads import processor_count
 
     parameters = load_parameters(share_file(PARAMETER_FILE))
     effort = QUICK if arguments.quick else FULL

@@ -9,9 +9,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gear_dynamics_ros.cli.options import add_settings
+from gear_dynamics_ros.cli.options import add_settings, require_workers
 from gear_dynamics_ros.cli.progress import ProgressLine, stderr_lines
-from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import load_parameters
 from gear_dynamics_ros.system.command import run_command
 from gear_dynamics_ros.system.share import share_file
@@ -19,7 +18,6 @@ from gear_dynamics_ros.system.share import share_file
 if TYPE_CHECKING:
     from gear_dynamics_ros.sweeps.store import SweepFolder
 
-MOST_WORKERS = 1024
 WARNED_POINTS = 5
 
 
@@ -78,8 +76,7 @@ def sweep_main(argv: Sequence[str] | None = None) -> int:
 
 
 def _sweep(arguments: argparse.Namespace) -> int:
-    if arguments.workers is not None and not 1 <= arguments.workers <= MOST_WORKERS:
-        raise UsageError(f"--workers = {arguments.workers}: must be 1 to {MOST_WORKERS}")
+    require_workers(arguments.workers)
     parameters = load_parameters(arguments.params_file or share_file("config/gearbox.yaml"), arguments.set)
     # Imported here: loading the kernel takes time, which help and refused options need not wait for.
     from gear_dynamics_ros.simulation.warm_up import warm_up_orbit

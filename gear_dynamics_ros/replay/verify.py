@@ -6,7 +6,6 @@ each section must end in exactly the state, and with the parameters, from which 
 
 from __future__ import annotations
 
-import os
 import time
 from bisect import bisect_left
 from collections import deque
@@ -24,6 +23,7 @@ from gear_dynamics_ros.replay.mismatch import Mismatch
 from gear_dynamics_ros.replay.part_reader import Action, PartReader
 from gear_dynamics_ros.replay.resimulation import Resimulation
 from gear_dynamics_ros.simulation.checkpoint import StoredCheckpoint
+from gear_dynamics_ros.system.threads import processor_count
 from gear_dynamics_ros.topics import CHUNK_TOPICS
 
 T = TypeVar("T")
@@ -234,7 +234,7 @@ def _run_in_parallel(recording: Recording, legs: Sequence[_Leg], count: _SampleC
     """Run all legs, several sections at a time, up to the first difference."""
     stop = Flag()
     findings = _Findings()
-    processors = len(os.sched_getaffinity(0))
+    processors = processor_count()
     # The kernel releases Python's lock (GIL), so threads use all processors.
     with ThreadPoolExecutor(processors, thread_name_prefix="verify") as workers:
         futures = [

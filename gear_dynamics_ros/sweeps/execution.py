@@ -15,8 +15,8 @@ from gear_dynamics_ros.sweeps.workers import (
     Work,
     compute_on_cluster,
     compute_on_threads,
-    processor_count,
 )
+from gear_dynamics_ros.system.threads import processor_count
 
 
 def run(plan: SweepPlan, workers: int | None = None, scheduler: str | None = None) -> xr.Dataset:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
@@ -21,11 +20,6 @@ class Work(NamedTuple):
 
     points: tuple[Index, ...]
     carried: tuple[Index, bytes] | None  # see ``compute_branch``
-
-
-def processor_count() -> int:
-    """Number of processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def compute_on_threads(plan: SweepPlan, works: Sequence[Work], keep: Keep, workers: int) -> None:

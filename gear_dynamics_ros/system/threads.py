@@ -33,6 +33,11 @@ class Doorbell:
         return self._silent.acquire(timeout=-1.0 if timeout is None else timeout)
 
 
+def processor_count() -> int:
+    """Number of processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def begin_thread() -> None:
     """Set what this thread otherwise inherits from the one that started it, on Linux.
 
