@@ -16,9 +16,11 @@ from gear_dynamics_ros.parameters import load_parameters
 from gear_dynamics_ros.sweeps import Measurement, SweepPlan, parse_axis, run
 from gear_dynamics_ros.sweeps.pictures import draw_figures
 
-PAPER = Path(__file__).parent.parent / "config" / "paper.yaml"
-# Lightly damped and smooth, so that the two motions are far apart.
+GEARBOX = Path(__file__).parent.parent / "config" / "gearbox.yaml"
+# Lightly damped, also between the teeth that are apart, and smooth: the two motions are far apart.
 SETTINGS = [
+    "operation.control=torque",
+    "mesh_damping=always",
     "mesh.damping_ratio=0.03",
     "mesh.error_cos=[2e-6]",
     "surface.driving.roughness=1e-7",
@@ -28,7 +30,7 @@ SETTINGS = [
 
 def main(folder: Path, speeds: str = "operation.speed=5200:7400:45rpm") -> None:
     plan = SweepPlan(
-        parameters=load_parameters(PAPER, SETTINGS),
+        parameters=load_parameters(GEARBOX, SETTINGS),
         axes=(parse_axis(speeds),),
         models=("traditional",),
         measurement=Measurement(transient=150, keep=100),

@@ -1,4 +1,4 @@
-"""Regimes of the gearbox of the paper, and of one with the refined switches."""
+"""Regimes of the gearbox with the published equations."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ import pytest
 
 from gear_dynamics_ros.analysis import chaos
 from gear_dynamics_ros.analysis.surface_scatter import hunting_periods, section_width
-from gear_dynamics_ros.parameters import load_parameters
 from gear_dynamics_ros.simulation.orbit import Orbit
 from gear_dynamics_ros.simulation.separated_pair import SeparatedPair
-from support.paths import ROOT
+from support.published import published_gearbox
 
 TRANSIENT, KEPT = 1500, 1000
 SKIPPED = 20
@@ -27,10 +26,10 @@ class Motion(NamedTuple):
     regime: chaos.Regime
 
 
-def motion(file: str, model: str, rpm: float, roughness: float) -> Motion:
+def motion(model: str, rpm: float, roughness: float) -> Motion:
     speed = rpm * math.pi / 30.0
     settings = [f"surface.{gear}.roughness={roughness}" for gear in ("driving", "driven")]
-    p = load_parameters(ROOT / "config" / file, [f"model={model}", f"operation.speed={speed}", *settings])
+    p = published_gearbox([f"model={model}", f"operation.speed={speed}", *settings])
     orbit = Orbit(p)
     orbit.advance(TRANSIENT)
     pair = SeparatedPair(orbit.copy())
@@ -58,7 +57,7 @@ def motion(file: str, model: str, rpm: float, roughness: float) -> Motion:
 def test_a_motion_that_repeats_stays_in_clouds_that_its_surface_makes(
     model: str, rpm: float, roughness: float, period: int
 ) -> None:
-    found, width, exponent, regime = motion("paper.yaml", model, rpm, roughness)
+    found, width, exponent, regime = motion(model, rpm, roughness)
     assert (found.period, found.repeats, regime) == (period, True, "periodic")
     assert found.cloud < width
     assert exponent < 10.0
@@ -68,7 +67,7 @@ def test_a_motion_that_repeats_stays_in_clouds_that_its_surface_makes(
     ("model", "rpm"), [("compared", 5000.0), ("improved", 7000.0), ("traditional", 12000.0)]
 )
 def test_neighbours_of_a_chaotic_motion_part(model: str, rpm: float) -> None:
-    found, width, exponent, regime = motion("paper.yaml", model, rpm, 0.8e-6)
+    found, width, exponent, regime = motion(model, rpm, 0.8e-6)
     assert (found.period, found.repeats, regime) == (0, False, "chaotic")
     assert found.spread > 2.0 * width
     assert exponent > 100.0

@@ -31,7 +31,6 @@ SHARED = (
     "config/fastdds_local.xml",
     "config/gearbox.yaml",
     "config/paper.yaml",
-    "config/paper_fit.yaml",
     "config/profiles/demo.yaml",
     "examples/identify_clearance.py",
     "examples/speed_controller.py",

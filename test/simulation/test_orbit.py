@@ -10,17 +10,17 @@ import pytest
 from gear_dynamics_ros.channels import COLUMN
 from gear_dynamics_ros.chunk import Status
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.parameters import Parameters, load_parameters, updated
+from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.simulation.orbit import EXTREMES, SAMPLES_PER_PERIOD, Orbit
-from support.paths import ROOT
+from support.published import published_gearbox
 
 RPM = math.pi / 30.0
 
 
 def paper(**values: object) -> Parameters:
     names = {name.replace("__", "."): value for name, value in values.items()}
-    return updated(load_parameters(ROOT / "config/paper.yaml"), names)
+    return updated(published_gearbox(), names)
 
 
 @pytest.mark.parametrize("model", ["traditional", "compared", "improved"])

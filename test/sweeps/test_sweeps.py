@@ -23,6 +23,7 @@ from gear_dynamics_ros.sweeps.point import ARRAYS, DONE, SCALARS
 from gear_dynamics_ros.sweeps.store import NOT_COMPUTED, SweepFolder
 from support.paths import CONFIG
 from support.processes import Process, StartProcess, until
+from support.published import published_gearbox
 
 SPEEDS = "operation.speed=5000:7000:5rpm"
 OPTIONS = ("--params-file", str(CONFIG / "paper.yaml"), "--over", SPEEDS, "--transient", "20", "--keep", "40")
@@ -86,7 +87,7 @@ def test_sweeping_up_and_down_shows_the_hysteresis_of_lost_contact() -> None:
     """Below its resonance a pair with backlash moves far when it comes from above, little from below."""
     smooth = ["mesh.error_cos=[2e-6]", "mesh.damping_ratio=0.03", "surface.driving.roughness=1e-7"]
     swept = SweepPlan(
-        load_parameters(CONFIG / "paper.yaml", [*smooth, "surface.driven.roughness=1e-7"]),
+        published_gearbox([*smooth, "surface.driven.roughness=1e-7"]),
         (parse_axis("operation.speed=5200:7400:23rpm"),),
         ("traditional",),
         Measurement(150, 100),
@@ -104,7 +105,7 @@ def test_sweeping_up_and_down_shows_the_hysteresis_of_lost_contact() -> None:
 
 def test_coexisting_motions_are_found_from_a_grid_of_starts() -> None:
     swept = SweepPlan(
-        load_parameters(CONFIG / "paper.yaml", ["mesh.error_cos=[4e-6]"]),
+        published_gearbox(["mesh.error_cos=[4e-6]"]),
         (parse_axis("start.dte=-30:30:4um"), parse_axis("start.dte_rate=-0.3:0.3:4")),
         ("traditional",),
         Measurement(200, 40),
@@ -143,7 +144,7 @@ def test_the_dataset_is_opened_without_this_package(tmp_path: Path) -> None:
 
 def test_a_sweep_tells_periodic_from_chaotic_motion() -> None:
     speeds = parse_axis("operation.speed=7000,10500,15500rpm")
-    parameters = load_parameters(CONFIG / "paper.yaml")
+    parameters = published_gearbox()
     dataset = run(SweepPlan(parameters, (speeds,), ("traditional",), Measurement(1000, 400))).squeeze()
     assert dataset["period"].values.tolist() == [2.0, 0.0, 1.0]
     meanings = dataset["regime"].attrs["flag_meanings"].split()
@@ -154,9 +155,8 @@ def test_a_sweep_tells_periodic_from_chaotic_motion() -> None:
 
 def test_the_spectrum_shows_a_line_of_the_mesh_at_its_amplitude() -> None:
     quiet = ["mesh.error_cos=[1e-6]", "mesh.stiffness_cos=[0.0]", "surface.driving.roughness=0.0"]
-    parameters = load_parameters(
-        CONFIG / "paper.yaml",
-        [*quiet, "surface.driven.roughness=0.0", "model=traditional", "operation.speed=100.0"],
+    parameters = published_gearbox(
+        [*quiet, "surface.driven.roughness=0.0", "model=traditional", "operation.speed=100.0"]
     )
     result = measure(parameters, Measurement(200, 40))
     amplitude = result.arrays["dte_spectrum"]
