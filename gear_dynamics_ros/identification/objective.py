@@ -56,6 +56,13 @@ class Outcome(NamedTuple):
         return 0.5 * float(first @ first)
 
 
+class Searched(Protocol):
+    """What gives an outcome for each point of a space."""
+
+    def outcome(self, coordinates: NDArray[np.float64]) -> Outcome:
+        """Residuals at ``coordinates`` (n,), each from 0 to 1, for any thread."""
+
+
 class Problem(NamedTuple):
     """A fit to make: which numbers to look for, from which parameters, to which data."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.identification.journal import FitJournal
-from gear_dynamics_ros.identification.objective import Outcome, Problem
+from gear_dynamics_ros.identification.objective import Outcome, Searched
 
 LOOK_ROUND: Final = 0.2  # s of wall time between two looks whether to stop
 
@@ -39,7 +39,7 @@ class Trials:
     """Outcomes of the points that a search asks for: from the journal if they are there, else computed."""
 
     def __init__(
-        self, problem: Problem, journal: FitJournal, workers: int, stopped: Callable[[], str]
+        self, problem: Searched, journal: FitJournal, workers: int, stopped: Callable[[], str]
     ) -> None:
         """``stopped`` returns why to stop, empty to go on; it is called on the thread of the search."""
         self._problem = problem

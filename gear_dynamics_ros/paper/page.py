@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 from gear_dynamics_ros.paper.cases import Effort
 from gear_dynamics_ros.paper.claims import MIXED
+from gear_dynamics_ros.paper.markdown import markdown_table
 from gear_dynamics_ros.paper.momentum import MomentumBalance, momentum_balances
 from gear_dynamics_ros.paper.parameter_sets import PARAMETER_FILE
 from gear_dynamics_ros.paper.verdicts import AGREEMENT, ComparedNumber, PaperComparison
@@ -85,11 +86,6 @@ def paper_page(report: PaperReport, figures: Sequence[tuple[str, str]]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
-
-
 def _introduction(report: PaperReport) -> str:
     measurement = report.effort.measurement
     return (
@@ -121,7 +117,7 @@ def _totals(report: PaperReport) -> str:
             )
         )
     head = ("parameters", f"numbers within {100.0 * AGREEMENT:.0f} %", "claims true", "mixed", "false")
-    return _table(head, rows)
+    return markdown_table(head, rows)
 
 
 def _numbers(report: PaperReport) -> str:
@@ -145,8 +141,8 @@ def _numbers(report: PaperReport) -> str:
         if found.number.reason
     }
     return (
-        f"{_table(head, rows)}\n\nDifferences are relative to the printed number; where 0 is printed, to the "
-        "greatest value of the same quantity.\n\nNot comparable, or in magnitude only:\n\n"
+        f"{markdown_table(head, rows)}\n\nDifferences are relative to the printed number; where 0 is "
+        "printed, to the greatest value of the same quantity.\n\nNot comparable, or in magnitude only:\n\n"
         + "\n".join(sorted(reasons))
     )
 
@@ -203,7 +199,7 @@ def _momentum(balances: Sequence[MomentumBalance]) -> str:
         "opposite to it. The mean of a magnitude is never less than the magnitude of the mean. Without a "
         "film the bearing contact alone carries the shaft: its mean force can't lie below "
         f"{balances[0].limit:.2f} N, whatever the parameters. With a film the contact can carry less.\n\n"
-        f"{_table(head, rows)}\n\n"
+        f"{markdown_table(head, rows)}\n\n"
         "The paper prints 374.10 N for compared. No torque gives both this and the 519.15 N of traditional, "
         "which by itself is 2.4 % too low. No parameter was fitted to these numbers."
     )
@@ -225,7 +221,7 @@ def _refined(report: PaperReport) -> str:
     return (
         "The same runs with `mesh_geometry: exact`, `mesh_damping: contact`, `restitution_law: exact` and "
         f"`mesh_phase: actual`: of {totals.claims} claims {totals.true} hold, {totals.mixed} are mixed.\n\n"
-        + _table(head, rows)
+        + markdown_table(head, rows)
     )
 
 
@@ -254,7 +250,7 @@ def _parameters(report: PaperReport) -> str:
         ("surface: offset, driving", f"{parameters.surface.driving.offset:g}", "rad"),
         ("surface: offset, driven", f"{parameters.surface.driven.offset:g}", "rad"),
     ]
-    return f"What the paper leaves open, from `{PARAMETER_FILE}`:\n\n" + _table(
+    return f"What the paper leaves open, from `{PARAMETER_FILE}`:\n\n" + markdown_table(
         ("parameter", "value", "unit"), rows
     )
 

@@ -44,11 +44,14 @@ def loop_area(samples: Samples, gear: str) -> float:
     """Work that the bearing contact of ``gear`` dissipates in a mesh period, J.
 
     It is the area of the loop of force over penetration, from the first sample to the last that has nearly
-    the same penetration, and back: what else the spring holds at the end is no loss.
+    the same penetration, and back: what else the spring holds at the end is no loss. 0 without such a sample.
     """
     penetration, force = samples[f"{gear}_penetration"], samples.contact_force(gear)
     above = penetration > penetration[0]
-    closed = 1 + int(np.flatnonzero(above[:-1] != above[1:])[-1])
+    crossings = np.flatnonzero(above[:-1] != above[1:])
+    if not len(crossings):
+        return 0.0
+    closed = 1 + int(crossings[-1])
     x, y = np.append(penetration[:closed], penetration[0]), np.append(force[:closed], force[0])
     work = float(np.sum(0.5 * (y[1:] + y[:-1]) * np.diff(x)))
     return work / (mesh_periods(samples) * closed / len(samples))

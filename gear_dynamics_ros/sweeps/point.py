@@ -72,6 +72,7 @@ class Measurement(NamedTuple):
     transient: int  # periods of the mesh that are dropped
     keep: int  # periods after them
     steps_per_period: int = STEPS_PER_PERIOD
+    exponent_intervals: int = EXPONENT_INTERVALS  # of a separated pair; without them, no exponent
 
 
 def measure(parameters: Parameters, measurement: Measurement) -> PointResult:
@@ -133,7 +134,7 @@ def _result(records: list[OrbitRecord], orbit: Orbit, measurement: Measurement) 
         **extremes,
         "pressure_angle_min": float(alpha.min()),
         "pressure_angle_max": float(alpha.max()),
-        **_motion(section, orbit),
+        **_motion(section, orbit, measurement.exponent_intervals),
         "section_phase_error": max(record.phase_error for record in records),
         "events": float(sum(record.counters.events for record in records)),
         "capped": float(sum(record.counters.capped for record in records)),
@@ -148,7 +149,7 @@ def _result(records: list[OrbitRecord], orbit: Orbit, measurement: Measurement) 
     return PointResult(scalars, arrays, DONE)
 
 
-def _motion(section: NDArray[np.float64], orbit: Orbit) -> dict[str, float]:
+def _motion(section: NDArray[np.float64], orbit: Orbit, exponent_intervals: int) -> dict[str, float]:
     """What kind of motion ``section`` (n, 2) shows; NaN what it is too short for. ``orbit`` is its end."""
     parameters = orbit.parameters
     width = section_width(parameters)
@@ -167,7 +168,7 @@ def _motion(section: NDArray[np.float64], orbit: Orbit) -> dict[str, float]:
     found = chaos.periodicity(section, hunting_periods(parameters), width)
     teeth = (parameters.gears.driving.teeth, parameters.gears.driven.teeth)
     zero_one = chaos.zero_one_test(section[:, 0], teeth)
-    exponent = _largest_exponent(orbit)
+    exponent = _largest_exponent(orbit, exponent_intervals)
     regime = chaos.regime(found, exponent, zero_one, orbit.period)
     return motion | {
         "period": float(found.period),
@@ -179,11 +180,13 @@ def _motion(section: NDArray[np.float64], orbit: Orbit) -> dict[str, float]:
     }
 
 
-def _largest_exponent(orbit: Orbit) -> float:
-    """In 1/s, from copies of ``orbit``; NaN if their run ends."""
+def _largest_exponent(orbit: Orbit, intervals: int) -> float:
+    """In 1/s, from copies of ``orbit``; NaN if their run ends, or without ``intervals``."""
+    if not intervals:
+        return np.nan
     pair = SeparatedPair(orbit.copy())
     try:
-        return chaos.largest_exponent(pair, EXPONENT_INTERVALS, pair.interval, SEPARATION, SKIPPED_INTERVALS)
+        return chaos.largest_exponent(pair, intervals, pair.interval, SEPARATION, SKIPPED_INTERVALS)
     except GearboxError:
         return np.nan
 

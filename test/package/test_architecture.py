@@ -30,7 +30,16 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
     "reporting": {"contract", "system", "recording", "analysis"},
     "sweeps": {"contract", "system", "parameters", "physics", "simulation", "analysis"},
     "identification": {"contract", "system", "parameters", "simulation", "recording", "sweeps"},
-    "paper": {"contract", "system", "parameters", "physics", "simulation", "analysis", "sweeps"},
+    "paper": {
+        "contract",
+        "system",
+        "parameters",
+        "physics",
+        "simulation",
+        "analysis",
+        "sweeps",
+        "identification",
+    },
     "harness": {"contract", "system", "parameters"},
     "ros": {
         "contract",
