@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import io
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, BinaryIO, Final, NamedTuple, cast
@@ -16,6 +17,7 @@ from PIL import Image
 
 from gear_dynamics_ros import palette
 from gear_dynamics_ros.analysis.comparison import ChannelDifference
+from gear_dynamics_ros.analysis.figure_data import FigureData
 from gear_dynamics_ros.analysis.spectra import MIN_SAMPLES, amplitude_spectrum
 from gear_dynamics_ros.analysis.statistics import Envelope, bearing_force_name
 from gear_dynamics_ros.analysis.summary import QUANTITY_UNITS, observed_mesh_frequency, poincare_section
@@ -116,34 +118,6 @@ def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
             return draw(*args, **keywords)
 
     return wrapper
-
-
-FIGURE_NAMES: Final = ("overview", "time_series", "spectrum", "phase_portrait", "orbits", "bearing_force")
-
-
-def recording_figures(
-    envelope: Envelope, samples: Samples, parameters: Parameters, changes: Sequence[float]
-) -> dict[str, Callable[[], Figure]]:
-    """What draws each of FIGURE_NAMES of a run, without those whose channels are missing.
-
-    ``envelope`` is that of the whole run, ``samples`` are those of the window of the other figures,
-    ``changes`` the times of commands and events in s.
-    """
-    window = (float(samples.time[0]), float(samples.time[-1]))
-    motion = [f"{gear}_{axis}" for gear in GEARS for axis in "xy"]
-    loops = [name for gear in GEARS for name in (f"{gear}_penetration", *contact_channels(gear))]
-    possible: dict[str, tuple[bool, Callable[[], Figure]]] = {
-        "overview": (bool(_panels(envelope)), lambda: overview_figure(envelope, changes, window)),
-        "time_series": (samples.has("dte"), lambda: time_series_figure(samples, parameters)),
-        "spectrum": (
-            samples.has("dte") and len(samples) >= MIN_SAMPLES,
-            lambda: spectrum_figure(samples),
-        ),
-        "phase_portrait": (samples.has("dte", "dte_rate"), lambda: phase_portrait_figure(samples)),
-        "orbits": (samples.has(*motion), lambda: orbits_figure(samples, parameters)),
-        "bearing_force": (samples.has(*loops), lambda: bearing_force_figure(samples)),
-    }
-    return {name: draw for name, (drawable, draw) in possible.items() if drawable}
 
 
 def write_png(figure: Figure, stream: BinaryIO) -> None:
@@ -467,6 +441,105 @@ def bearing_force_figure(samples: Samples) -> Figure:
         axis.set_title(f"Bearing of the {gear} gear, last {len(shown) * shown.interval:.3g} s of the window")
     axes[0].set_ylabel("bearing contact force (kN)")
     return figure
+
+
+class RecordingFigure(NamedTuple):
+    """One figure of a recording."""
+
+    name: str
+    caption: str
+    lacking: Callable[[FigureData], str]  # why it can't be drawn; empty if it can
+    draw: Callable[[FigureData], Figure]
+
+
+def _lacking_channels(*names: str) -> Callable[[FigureData], str]:
+    """Names what is missing of the channels ``names``."""
+
+    def lacking(data: FigureData) -> str:
+        missing = [name for name in names if not data.window.has(name)]
+        return f"not recorded: {', '.join(missing)}" if missing else ""
+
+    return lacking
+
+
+def _lacking_spectrum(data: FigureData) -> str:
+    count = len(data.window)
+    few = f"the window has {count} samples, a spectrum needs {MIN_SAMPLES}" if count < MIN_SAMPLES else ""
+    return _lacking_channels("dte")(data) or few
+
+
+RECORDING_FIGURES: Final = (
+    RecordingFigure(
+        "overview",
+        "The whole run, minimum and maximum of each interval, so that no peak is lost. Look for what follows "
+        "each command or event (grey): where the band of the DTE widens, teeth or journals have begun to "
+        "come apart; where the mesh force touches zero, contact was lost.",
+        lambda data: "" if _panels(data.envelope) else "not recorded: any of its channels",
+        lambda data: overview_figure(
+            data.envelope, data.changes, (float(data.window.time[0]), float(data.window.time[-1]))
+        ),
+    ),
+    RecordingFigure(
+        "time_series",
+        "The last mesh periods of the window, sample by sample. The teeth touch where the DTE is above the "
+        "drive flank or below the back flank, and are apart between them. Look for mesh forces that return "
+        "from zero with a peak (impacts of the teeth), and for bearing contact forces of zero (the "
+        "journal has left its bearing).",
+        _lacking_channels("dte"),
+        lambda data: time_series_figure(data.window, data.parameters),
+    ),
+    RecordingFigure(
+        "spectrum",
+        "Amplitude of the DTE over frequency; the upper axis counts orders of the mesh frequency. A motion "
+        "of the mesh period has lines at whole orders only. Look for lines between them: at halves or thirds "
+        "the motion takes 2 or 3 mesh periods, a raised floor means a chaotic motion.",
+        _lacking_spectrum,
+        lambda data: spectrum_figure(data.window),
+    ),
+    RecordingFigure(
+        "phase_portrait",
+        "Rate of the DTE over DTE, with one point for each mesh period (Poincaré section). One point is a "
+        "motion of the mesh period, n points one of n periods, a closed line a quasi-periodic and a cloud a "
+        "chaotic motion. Look where the curve crosses a flank: there contact begins or ends.",
+        _lacking_channels("dte", "dte_rate"),
+        lambda data: phase_portrait_figure(data.window),
+    ),
+    RecordingFigure(
+        "orbits",
+        "Path of each journal's centre, in its bearing (above) and enlarged (below). Outside the clearance "
+        "circle the journal presses into the bearing, inside it flies free. Look for paths that leave the "
+        "circle and come back: each return is an impact.",
+        _lacking_channels(*(f"{gear}_{axis}" for gear in GEARS for axis in "xy")),
+        lambda data: orbits_figure(data.window, data.parameters),
+    ),
+    RecordingFigure(
+        "bearing_force",
+        "Contact force over penetration of each bearing. Loading runs above unloading, and the area between "
+        "them is the energy that the contact dissipates. Look for wide loops (much damping) and for loops "
+        "that begin and end at zero (impacts, not a lasting contact).",
+        _lacking_channels(
+            *(name for gear in GEARS for name in (f"{gear}_penetration", *contact_channels(gear)))
+        ),
+        lambda data: bearing_force_figure(data.window),
+    ),
+)
+FIGURE_NAMES: Final = tuple(figure.name for figure in RECORDING_FIGURES)
+CAPTIONS: Final[Mapping[str, str]] = {figure.name: figure.caption for figure in RECORDING_FIGURES}
+
+
+def recording_figures(data: FigureData) -> dict[str, Callable[[], Figure]]:
+    """What draws each of FIGURE_NAMES, without those in ``lacking_figures``."""
+    return {
+        figure.name: functools.partial(figure.draw, data)
+        for figure in RECORDING_FIGURES
+        if not figure.lacking(data)
+    }
+
+
+def lacking_figures(data: FigureData) -> dict[str, str]:
+    """Why each of FIGURE_NAMES that can't be drawn can't be."""
+    reasons = {figure.name: figure.lacking(data) for figure in RECORDING_FIGURES}
+    return {name: reason for name, reason in reasons.items() if reason}
 
 
 class Overlay(NamedTuple):

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from gear_dynamics_ros.analysis import ledger, summary
+from gear_dynamics_ros.analysis.figure_data import FigureData
 from gear_dynamics_ros.analysis.statistics import Envelope, Statistics, derived_quantities
 from gear_dynamics_ros.chunk import Samples
 from gear_dynamics_ros.errors import GearboxError
@@ -68,14 +69,19 @@ def write_analysis(
     names = [SUMMARY_FILE, IMPACTS_FILE, *(_figure_file(name) for name in figures.FIGURE_NAMES)]
     with replace_files(folder, names) as draft:
         _write_numbers(analysis, draft)
-        drawings = figures.recording_figures(
-            analysis.whole.envelope, analysis.window, analysis.recording.parameters, analysis.changes
-        )
+        drawings = figures.recording_figures(figure_data(analysis))
         for count, (name, draw) in enumerate(drawings.items(), start=1):
             with output_file(draft / _figure_file(name)) as stream:
                 figures.write_png(draw(), stream)
             progress(count, len(drawings))
     return [folder / name for name in names if (folder / name).exists()]
+
+
+def figure_data(analysis: RecordingAnalysis) -> FigureData:
+    """What the figures of ``analysis`` are drawn from."""
+    return FigureData(
+        analysis.recording.parameters, analysis.whole.envelope, analysis.changes, analysis.window
+    )
 
 
 def _figure_file(name: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.analysis import figures
+from gear_dynamics_ros.analysis.figure_data import FigureData
 from gear_dynamics_ros.analysis.statistics import Envelope, derived_quantities
 from gear_dynamics_ros.channels import CHANNEL_NAMES
 from gear_dynamics_ros.chunk import Commands, Samples
@@ -196,3 +198,33 @@ def test_bearing_force_is_drawn_over_penetration_where_there_is_contact(samples:
         np.testing.assert_allclose(x, np.where(touching, penetration, np.nan))
         np.testing.assert_allclose(y, 1e-3 * magnitude(samples, f"{gear}_contact_force")[shown])
         assert_holds(axis, x, y[touching])
+
+
+def figure_data(samples: Samples) -> FigureData:
+    envelope = Envelope()
+    envelope.add(samples, derived_quantities(samples))
+    return FigureData(Parameters(), envelope, [CHANGE * INTERVAL], samples)
+
+
+def only(samples: Samples, *names: str) -> Samples:
+    """``samples`` of a recording that has only the channels ``names``."""
+    columns = [samples.names.index(name) for name in names]
+    return Samples(samples.first, samples.interval, names, samples.values[:, columns])
+
+
+def test_every_figure_has_a_caption_that_says_what_to_look_for() -> None:
+    assert tuple(figures.CAPTIONS) == figures.FIGURE_NAMES
+    for name, caption in figures.CAPTIONS.items():
+        assert re.search(r"[Ll]ook for ", caption) or "Look where" in caption, name
+        assert caption.endswith("."), name
+
+
+def test_a_figure_without_its_channels_is_left_out_and_says_which(samples: Samples) -> None:
+    assert list(figures.recording_figures(figure_data(samples))) == list(figures.FIGURE_NAMES)
+    assert figures.lacking_figures(figure_data(samples)) == {}
+    few = figure_data(only(samples, "time", "dte").last(10))
+    assert list(figures.recording_figures(few)) == ["overview", "time_series"]
+    lacking = figures.lacking_figures(few)
+    assert set(lacking) == set(figures.FIGURE_NAMES) - {"overview", "time_series"}
+    assert lacking["phase_portrait"] == "not recorded: dte_rate"
+    assert lacking["spectrum"] == "the window has 10 samples, a spectrum needs 40"

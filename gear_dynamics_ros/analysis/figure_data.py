@@ -1,0 +1,19 @@
+"""What the figures of a recording are drawn from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from gear_dynamics_ros.analysis.statistics import Envelope
+from gear_dynamics_ros.chunk import Samples
+from gear_dynamics_ros.parameters import Parameters
+
+
+class FigureData(NamedTuple):
+    """Samples and totals of one recording."""
+
+    parameters: Parameters
+    envelope: Envelope  # of the whole run
+    changes: Sequence[float]  # times of commands and events, s
+    window: Samples  # what all figures but the overview show
