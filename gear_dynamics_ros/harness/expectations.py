@@ -21,6 +21,7 @@ from gear_dynamics_ros.harness.measures import (
     Statistic,
 )
 from gear_dynamics_ros.parameters.decimals import exact_text
+from gear_dynamics_ros.parameters.mappings import require_mapping
 
 CHANNEL_UNITS: Mapping[str, str] = {channel.name: channel.unit for channel in (*CHANNELS, *ENERGIES)}
 
@@ -105,13 +106,13 @@ def parse_expectations(entries: object) -> tuple[Expectation, ...]:
 
 
 def _expectation(where: str, entry: object) -> Expectation:
-    tree = fields.require_mapping(entry, where, _KEYS)
+    tree = require_mapping(entry, where, _KEYS)
     measures = [measure for measure in _MEASURE_KEYS if measure in tree]
     if len(measures) != 1:
         named = " and ".join(measures) or "none"
         raise UsageError(f"{where} must have exactly one of {', '.join(_MEASURE_KEYS)}; it has {named}")
     (key,) = measures
-    fields.require_mapping(tree, f"{where} ({key})", (*_COMMON_KEYS, key, *_MEASURE_KEYS[key]))
+    require_mapping(tree, f"{where} ({key})", (*_COMMON_KEYS, key, *_MEASURE_KEYS[key]))
     start, end = fields.require_window(tree, where)
     request = _PARSERS.get(key, _statistic)(tree, where)
     if key == "settling" and request.maximum > end - start:

@@ -14,16 +14,6 @@ from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters.decimals import exact_text
 
 
-def require_mapping(value: object, where: str, keys: Sequence[str]) -> Mapping[str, Any]:
-    """``value`` if it is a mapping whose keys are all in ``keys``."""
-    if not isinstance(value, Mapping):
-        raise UsageError(f"{where} is {value!r}, must be a mapping with keys among {', '.join(keys)}")
-    for key in value:
-        if key not in keys:
-            raise UsageError(f"{where} has the unknown key {key!r}; known: {', '.join(keys)}")
-    return value
-
-
 def require_list(value: object, where: str) -> Sequence[object]:
     """``value`` if it is a list."""
     if not isinstance(value, list):

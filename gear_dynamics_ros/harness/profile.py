@@ -14,6 +14,7 @@ from gear_dynamics_ros.harness.expectations import Expectation, parse_expectatio
 from gear_dynamics_ros.harness.tracks import CommandTrack, RampPiece, parse_track
 from gear_dynamics_ros.parameters import Parameters, specifications
 from gear_dynamics_ros.parameters.decimals import exact_text
+from gear_dynamics_ros.parameters.mappings import require_mapping
 from gear_dynamics_ros.parameters.rcl_yaml import parse_yaml
 
 ParameterSetting: TypeAlias = bool | int | float | str | list[float] | list[str]
@@ -57,8 +58,8 @@ def parse_profile(data: object, folder: Path) -> Profile:
 
     Raises UsageError in one line naming entry, value and limit.
     """
-    tree = fields.require_mapping(data, "the profile", _KEYS)
-    commands = fields.require_mapping(tree.get("commands", {}), "commands", Commands._fields)
+    tree = require_mapping(data, "the profile", _KEYS)
+    commands = require_mapping(tree.get("commands", {}), "commands", Commands._fields)
     tracks = {name: parse_track(name, entries, folder) for name, entries in commands.items()}
     expectations = parse_expectations(tree.get("expectations", []))
     ends = [track.end for track in tracks.values()] + [expectation.end for expectation in expectations]

@@ -13,6 +13,7 @@ from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.harness import fields
 from gear_dynamics_ros.harness.series import INTERPOLATIONS, CommandSeries, Interpolation, load_series
 from gear_dynamics_ros.parameters.decimals import exact_text
+from gear_dynamics_ros.parameters.mappings import require_mapping
 
 _STEP_KEYS = ("at", "value")
 _RAMP_KEYS = ("from", "to", "value", "amplitude", "frequency", "end_frequency")
@@ -163,10 +164,10 @@ def _require_order(where: str, piece: TrackPiece, previous: TrackPiece) -> None:
 def _piece(where: str, entry: object, level: float | None, command: str, folder: Path) -> TrackPiece:
     """The piece of one entry; ``level`` is the value before it, None for the first."""
     if isinstance(entry, Mapping) and "at" in entry:
-        return _step(where, fields.require_mapping(entry, where, _STEP_KEYS))
+        return _step(where, require_mapping(entry, where, _STEP_KEYS))
     if isinstance(entry, Mapping) and "csv" in entry:
-        return _series(where, fields.require_mapping(entry, where, _SERIES_KEYS), command, folder)
-    return _ramp(where, fields.require_mapping(entry, where, _RAMP_KEYS), level)
+        return _series(where, require_mapping(entry, where, _SERIES_KEYS), command, folder)
+    return _ramp(where, require_mapping(entry, where, _RAMP_KEYS), level)
 
 
 def _step(where: str, tree: Mapping[str, Any]) -> RampPiece:

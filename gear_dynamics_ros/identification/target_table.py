@@ -15,6 +15,7 @@ from gear_dynamics_ros.identification.unknowns import Unknown
 from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.parameters.decimals import exact_text
 from gear_dynamics_ros.parameters.hints import most_alike, shortened
+from gear_dynamics_ros.parameters.mappings import require_mapping
 from gear_dynamics_ros.parameters.rcl_yaml import parse_yaml
 from gear_dynamics_ros.parameters.tree import specification_of
 
@@ -160,7 +161,7 @@ class TargetObjective:
 
 
 def _table(tree: object) -> TargetTable:
-    table = _mapping(tree, "the table", _TABLE_KEYS)
+    table = require_mapping(tree, "the table", _TABLE_KEYS)
     shared = _conditions(table, "the table")
     entries = table.get("targets")
     if not isinstance(entries, list) or not entries:
@@ -176,7 +177,7 @@ def _table(tree: object) -> TargetTable:
 
 
 def _target(tree: object, where: str, shared: Mapping[str, Any]) -> TargetValue:
-    entry = _mapping(tree, where, _TARGET_KEYS)
+    entry = require_mapping(tree, where, _TARGET_KEYS)
     quantity = entry.get("quantity")
     if not isinstance(quantity, str) or not quantity:
         raise UsageError(f"{where} has no quantity: name one, such as quantity: ldmf")
@@ -198,15 +199,6 @@ def _conditions(tree: Mapping[str, Any], where: str) -> Mapping[str, Any]:
     for name in conditions:
         specification_of(name)
     return conditions
-
-
-def _mapping(tree: object, where: str, keys: Sequence[str]) -> Mapping[str, Any]:
-    if not isinstance(tree, Mapping):
-        raise UsageError(f"{where} is {tree!r:.60}, must be a mapping with keys among {', '.join(keys)}")
-    for key in tree:
-        if key not in keys:
-            raise UsageError(f"{where} has the unknown key {key!r:.60}; known: {', '.join(keys)}")
-    return tree
 
 
 def _number(tree: Mapping[str, Any], key: str, where: str) -> float:
