@@ -7,9 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gear_dynamics_ros.parameters import BearingParameters, Parameters
-from gear_dynamics_ros.physics.constants import film_factor, hertz_factor, mesh_damping
+from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.physics.constants import film_factor, mesh_damping
 from gear_dynamics_ros.physics.geometry import base_radii
+from gear_dynamics_ros.physics.modes import (
+    bearing_of,
+    contact_depth,
+    natural_frequencies,
+    radial_factor,
+)
 
 # Where RK4 becomes unstable: on an undamped oscillation and on a pure decay.
 OSCILLATION_LIMIT = 2.0 * math.sqrt(2.0)
@@ -86,32 +92,11 @@ def checks(parameters: Parameters, speed: float | None = None) -> list[Check]:
 def natural_frequency(parameters: Parameters) -> float:
     """Highest natural frequency of the undamped gear pair in rad/s, the mesh at its stiffest.
 
-    Along the line of action, with both bearings closed by the static load; impacts press Hertz contacts in
-    deeper, whose stiffness grows with the cube root of their force.
+    With both bearings closed by the static load; impacts press Hertz contacts in deeper, whose stiffness
+    grows with the cube root of their force.
     """
-    gears, mesh = parameters.gears, parameters.mesh
-    r1, r2 = base_radii(parameters)
-    per_mass = np.array(
-        [r1**2 / gears.driving.inertia + r2**2 / gears.driven.inertia]
-        + [1.0 / gear.mass for gear in (gears.driving, gears.driven)]
-    )
-    shift = radial_factor(parameters)
-    force = per_mass * [1.0, 1.0, -1.0]
-    approach = np.array([1.0, shift, -shift])
-    mesh_part = mesh.stiffness * stiffness_peak(parameters) * np.outer(force, approach)
-    bearings = np.diag([0.0, *(contact_stiffness(parameters, side) for side in ("driving", "driven"))])
-    squares = np.linalg.eigvals(mesh_part + per_mass[:, None] * bearings)
-    return math.sqrt(float(np.abs(squares).max()))
-
-
-def radial_factor(parameters: Parameters) -> float:
-    """How much the teeth approach by a metre of a centre along the line of action.
-
-    (28) with (23) counts the radial part of a shift twice.
-    """
-    return (
-        1.0 if parameters.mesh_geometry == "exact" else 1.0 + math.sin(parameters.gears.pressure_angle) ** 2
-    )
+    stiffest = parameters.mesh.stiffness * stiffness_peak(parameters)
+    return natural_frequencies(parameters, static_load(parameters), stiffest)[-1]
 
 
 def stiffness_peak(parameters: Parameters) -> float:
@@ -132,28 +117,6 @@ def static_load(parameters: Parameters) -> float:
     operation = parameters.operation
     r1, r2 = base_radii(parameters)
     return max(abs(operation.drive_torque) / r1, abs(operation.load_torque) / r2)
-
-
-def contact_stiffness(parameters: Parameters, side: str) -> float:
-    """Stiffness of the ``side`` bearing's contact under the static load, N/m."""
-    bearing = bearing_of(parameters, side)
-    if parameters.model == "traditional":
-        return bearing.kelvin_stiffness
-    load, depth = static_load(parameters), static_depth(parameters, side)
-    return load * (1.5 / depth - 0.5 / (bearing.clearance + depth)) if depth > 0.0 else 0.0
-
-
-def static_depth(parameters: Parameters, side: str) -> float:
-    """Penetration at which the ``side`` bearing carries the static load, m; (2)."""
-    bearing = bearing_of(parameters, side)
-    load = static_load(parameters)
-    if parameters.model == "traditional":
-        return load / bearing.kelvin_stiffness
-    ratio = load / hertz_factor(parameters, bearing.length)
-    depth = 0.0
-    for _ in range(100):  # contracts, the faster the smaller the depth beside the clearance
-        depth = (ratio * math.sqrt(bearing.clearance + depth)) ** (2.0 / 3.0)
-    return depth
 
 
 def mesh_damping_rate(parameters: Parameters) -> float:
@@ -178,7 +141,9 @@ def film_damping_rate(parameters: Parameters, side: str) -> float:
     comes farther out.
     """
     bearing = bearing_of(parameters, side)
-    reached = (bearing.clearance + static_depth(parameters, side)) / bearing.oil_clearance
+    reached = (
+        bearing.clearance + contact_depth(parameters, side, static_load(parameters))
+    ) / bearing.oil_clearance
     eps = min(reached, parameters.oil.eccentricity_limit)
     mass: float = getattr(parameters.gears, side).mass
     return film_damping(film_factor(parameters, bearing) / bearing.oil_clearance, eps) / mass
@@ -206,9 +171,3 @@ def harmonics_per_turn(parameters: Parameters) -> float:
     series = (mesh.stiffness_cos, mesh.stiffness_sin, mesh.error_cos, mesh.error_sin)
     orders = [h for amplitudes in series for h, a in enumerate(amplitudes, start=1) if a != 0.0]
     return float(parameters.gears.driving.teeth * max(orders, default=0))
-
-
-def bearing_of(parameters: Parameters, side: str) -> BearingParameters:
-    """Bearing of the ``side`` gear."""
-    bearing: BearingParameters = getattr(parameters.bearings, side)
-    return bearing

@@ -12,7 +12,6 @@ from gear_dynamics_ros.cli.simulate import simulate_main
 from gear_dynamics_ros.parameters import Parameters, load_parameters
 from gear_dynamics_ros.physics import step_check
 from gear_dynamics_ros.physics.advice import parameter_warnings
-from gear_dynamics_ros.physics.constants import hertz_factor
 from gear_dynamics_ros.physics.kernel.film import capone_film
 from support.paths import CONFIG
 
@@ -45,24 +44,6 @@ def test_the_mesh_counts_at_its_stiffest() -> None:
     modulated = hertz({**STEADY, **FREE, "mesh.stiffness_cos": [0.0, 0.2], "mesh.stiffness_sin": [0.0, 0.1]})
     peak = 1.0 + math.hypot(0.2, 0.1)
     assert modulated == pytest.approx(math.sqrt(peak) * 6071.5, rel=1e-3)
-
-
-def test_the_hertz_contact_carries_the_static_load() -> None:
-    p = Parameters.from_flat({"model": "compared"})
-    depth, load = step_check.static_depth(p, "driving"), 532.088886
-
-    def force(depth: float) -> float:
-        bearing = p.bearings.driving
-        return hertz_factor(p, bearing.length) * depth**1.5 / math.sqrt(bearing.clearance + depth)
-
-    assert force(depth) == pytest.approx(load, rel=1e-8)
-    slope = (force(depth * 1.0001) - force(depth * 0.9999)) / (0.0002 * depth)
-    assert step_check.contact_stiffness(p, "driving") == pytest.approx(slope, rel=1e-6)
-
-
-def test_unloaded_contacts_have_no_stiffness() -> None:
-    idle = {"model": "compared", "operation.drive_torque": 0.0, "operation.load_torque": 0.0}
-    assert step_check.contact_stiffness(Parameters.from_flat(idle), "driven") == 0.0
 
 
 @pytest.mark.parametrize("eps", [0.0, 0.18, 0.9])
