@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from gear_dynamics_ros.analysis.meshing import MeshingTimeline
+from gear_dynamics_ros.analysis.run_up import SpeedSpectra
 from gear_dynamics_ros.analysis.statistics import Envelope
 from gear_dynamics_ros.chunk import Samples
 from gear_dynamics_ros.parameters import Parameters
@@ -16,4 +18,7 @@ class FigureData(NamedTuple):
     parameters: Parameters
     envelope: Envelope  # of the whole run
     changes: Sequence[float]  # times of commands and events, s
-    window: Samples  # what all figures but the overview show
+    window: Samples  # what the figures show that are not of the run
+    windows: Sequence[Samples]  # all that are analysed, which the figures of the run mark
+    meshing: MeshingTimeline  # of the whole run
+    run_up: SpeedSpectra | None  # of the greatest rise or fall of the speed

@@ -12,7 +12,7 @@ from gear_dynamics_ros.analysis.summary import WINDOW_LENGTH
 from gear_dynamics_ros.cli.faults import warn_of_faults
 from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.errors import UsageError
-from gear_dynamics_ros.reporting.analysis_report import analyze_recording, write_analysis
+from gear_dynamics_ros.reporting.analysis_report import analyze_recording, left_out, write_analysis
 from gear_dynamics_ros.system.command import run_command
 
 
@@ -20,7 +20,7 @@ def analyze_main(argv: Sequence[str] | None = None) -> int:
     """Run the command ``analyze``; returns the exit code."""
     parser = argparse.ArgumentParser(
         prog="analyze",
-        description="Figures (PNG), a summary (JSON) and the bearing impacts (CSV) of a recording. "
+        description="Figures (PNG and SVG), a summary (JSON) and the bearing impacts (CSV) of a recording. "
         "The overview shows the whole run, the others a window: "
         f"by default the last {WINDOW_LENGTH:g} s without a change of commands.",
     )
@@ -47,6 +47,8 @@ def _analyze(arguments: argparse.Namespace) -> int:
         written = write_analysis(analysis, output, lambda drawn, total: progress(100 * drawn // total))
     for path in written:
         print(path)
+    for name, reason in left_out(analysis).items():
+        print(f"analyze: no {name}: {reason}", file=sys.stderr)
     return 0
 
 

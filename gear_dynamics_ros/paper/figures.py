@@ -13,7 +13,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from gear_dynamics_ros import palette
-from gear_dynamics_ros.analysis.figures import FIGURE_STYLE, MICRO
+from gear_dynamics_ros.analysis.figures.style import FIGURE_STYLE, MICRO
 from gear_dynamics_ros.chunk import Samples
 from gear_dynamics_ros.paper.cases import (
     DIMENSIONS,

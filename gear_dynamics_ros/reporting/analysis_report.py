@@ -10,6 +10,8 @@ from typing import Any, Final, NamedTuple
 
 from gear_dynamics_ros.analysis import ledger, summary
 from gear_dynamics_ros.analysis.figure_data import FigureData
+from gear_dynamics_ros.analysis.meshing import MeshingTimeline
+from gear_dynamics_ros.analysis.run_up import RUN_UP_CHANNELS, SpeedSpectra, find_run_up
 from gear_dynamics_ros.analysis.statistics import Envelope, Statistics, derived_quantities
 from gear_dynamics_ros.chunk import Samples
 from gear_dynamics_ros.errors import GearboxError
@@ -27,6 +29,7 @@ class WholeRun(NamedTuple):
 
     statistics: Statistics
     envelope: Envelope
+    meshing: MeshingTimeline
 
 
 class RecordingAnalysis(NamedTuple):
@@ -36,6 +39,7 @@ class RecordingAnalysis(NamedTuple):
     changes: Sequence[float]  # times of commands and events, s
     whole: WholeRun
     window: Samples
+    run_up: SpeedSpectra | None
 
 
 def analyze_recording(
@@ -52,13 +56,14 @@ def analyze_recording(
         raise GearboxError(f"{recording.path} holds no samples: nothing to analyse")
     changes = change_times(recording)
     window = recording.window(*choose_window(recording, changes, start, end))
-    return RecordingAnalysis(recording, changes, _read_whole(recording, progress), window)
+    whole = _read_whole(recording, progress)
+    return RecordingAnalysis(recording, changes, whole, window, _read_run_up(recording, whole.envelope))
 
 
 def write_analysis(
     analysis: RecordingAnalysis, folder: Path, progress: Callable[[int, int], None]
 ) -> list[Path]:
-    """Write SUMMARY_FILE, IMPACTS_FILE if impacts were recorded, and figures (PNG); returns their paths.
+    """Write SUMMARY_FILE, IMPACTS_FILE if impacts were recorded, and figures (PNG, SVG); returns their paths.
 
     Together they replace those of an earlier analysis in ``folder``; if anything fails, these stay.
     ``progress`` is called with the number of figures drawn and that of all. Raises GearboxError if a file
@@ -66,13 +71,19 @@ def write_analysis(
     """
     from gear_dynamics_ros.analysis import figures
 
-    names = [SUMMARY_FILE, IMPACTS_FILE, *(_figure_file(name) for name in figures.FIGURE_NAMES)]
+    names = [
+        SUMMARY_FILE,
+        IMPACTS_FILE,
+        *(file for name in figures.FIGURE_NAMES for file in _figure_files(name)),
+    ]
     with replace_files(folder, names) as draft:
         _write_numbers(analysis, draft)
         drawings = figures.recording_figures(figure_data(analysis))
         for count, (name, draw) in enumerate(drawings.items(), start=1):
-            with output_file(draft / _figure_file(name)) as stream:
-                figures.write_png(draw(), stream)
+            figure = draw()
+            for file, write in zip(_figure_files(name), (figures.write_png, figures.write_svg), strict=True):
+                with output_file(draft / file) as stream:
+                    write(figure, stream)
             progress(count, len(drawings))
     return [folder / name for name in names if (folder / name).exists()]
 
@@ -80,12 +91,25 @@ def write_analysis(
 def figure_data(analysis: RecordingAnalysis) -> FigureData:
     """What the figures of ``analysis`` are drawn from."""
     return FigureData(
-        analysis.recording.parameters, analysis.whole.envelope, analysis.changes, analysis.window
+        analysis.recording.parameters,
+        analysis.whole.envelope,
+        analysis.changes,
+        analysis.window,
+        [analysis.window],
+        analysis.whole.meshing,
+        analysis.run_up,
     )
 
 
-def _figure_file(name: str) -> str:
-    return f"{name}.png"
+def left_out(analysis: RecordingAnalysis) -> dict[str, str]:
+    """Why each figure that ``write_analysis`` doesn't draw can't be drawn."""
+    from gear_dynamics_ros.analysis import figures
+
+    return figures.lacking_figures(figure_data(analysis))
+
+
+def _figure_files(name: str) -> tuple[str, str]:
+    return f"{name}.png", f"{name}.svg"
 
 
 def _write_numbers(analysis: RecordingAnalysis, folder: Path) -> None:
@@ -111,13 +135,27 @@ def _require_finite(summary: Mapping[str, Any], path: Path, prefix: str = "") ->
 
 
 def _read_whole(recording: Recording, progress: Callable[[int], None]) -> WholeRun:
-    whole = WholeRun(Statistics(), Envelope())
+    whole = WholeRun(Statistics(), Envelope(), MeshingTimeline())
     for samples in recording.blocks():
         columns = derived_quantities(samples)
         whole.statistics.add(samples, columns)
         whole.envelope.add(samples, columns)
+        whole.meshing.add(samples)
         progress(whole.statistics.samples)
     return whole
+
+
+def _read_run_up(recording: Recording, envelope: Envelope) -> SpeedSpectra | None:
+    """Spectra over the greatest rise or fall of the speed; None if there is none, or it is too short."""
+    found = find_run_up(envelope)
+    if found is None or not set(RUN_UP_CHANNELS) <= set(recording.channel_names):
+        return None
+    parameters = recording.parameters
+    spectra = SpeedSpectra(found, parameters.gears.driving.teeth, parameters.solver.sample_interval)
+    channels = [name for name in (*RUN_UP_CHANNELS, "load_torque") if name in recording.channel_names]
+    for samples in recording.blocks(*found.span, channels):
+        spectra.add(samples)
+    return spectra if spectra.frames else None
 
 
 def _summary(analysis: RecordingAnalysis) -> dict[str, Any]:

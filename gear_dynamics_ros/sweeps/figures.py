@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from gear_dynamics_ros import palette
-from gear_dynamics_ros.analysis.figures import MICRO, styled
+from gear_dynamics_ros.analysis.figures.style import MICRO, styled
 from gear_dynamics_ros.sweeps.labels import (
     DIRECTION,
     MODEL,

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
 import os
+import shutil
 import signal
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -27,7 +31,10 @@ from support.recordings import following, record
 from support.terminal import error_line
 
 INTERVAL = 1e-5
-FIGURES = ("overview", "time_series", "spectrum", "phase_portrait", "orbits", "bearing_force")
+FIGURES = (
+    *("overview", "meshing_shares", "time_series", "pressure_angle", "spectrum", "phase_portrait"),
+    *("orbits", "bearing_force"),
+)
 
 
 def wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -198,16 +205,34 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
 
 
-def test_analyze_draws_and_counts(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    output = tmp_path / "new" / "figures"
-    assert analyze_main([str(bag), "--output", str(output)]) == 0
-    written = capsys.readouterr().out.splitlines()
-    files = ["summary.json", "impacts.csv", *(f"{name}.png" for name in FIGURES)]
-    assert written == [str(output / name) for name in files]
+class Analysed(NamedTuple):
+    """What one call of analyze wrote and said."""
+
+    output: Path
+    said: str
+    warned: str
+
+
+@pytest.fixture(scope="module")
+def analysed(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Analysed:
+    output = tmp_path_factory.mktemp("analysed") / "new" / "figures"
+    with redirect_stdout(io.StringIO()) as said, redirect_stderr(io.StringIO()) as warned:
+        assert analyze_main([str(bag), "--output", str(output)]) == 0
+    return Analysed(output, said.getvalue(), warned.getvalue())
+
+
+def test_analyze_draws_and_counts(analysed: Analysed) -> None:
+    output = analysed.output
+    pictures = [f"{name}.{kind}" for name in FIGURES for kind in ("png", "svg")]
+    files = ["summary.json", "impacts.csv", *pictures]
+    assert analysed.said.splitlines() == [str(output / name) for name in files]
+    assert analysed.warned.startswith("analyze: no order_map: no run-up: ")
+    assert analysed.warned.count("\n") == 1
     for name in FIGURES:
         picture = imread(output / f"{name}.png")
         assert picture.shape[0] > 500
         assert picture[:, :, :3].std() > 0.03
+        assert 10_000 < (output / f"{name}.svg").stat().st_size < 300_000, name
     found = json.loads((output / "summary.json").read_text(encoding="utf-8"))
     assert found["samples"] == 48_000
     assert found["duration"] == pytest.approx(0.48)
@@ -225,15 +250,14 @@ def test_analyze_draws_and_counts(bag: Path, tmp_path: Path, capsys: pytest.Capt
     assert window["poincare"]["points"] == pytest.approx(0.2 * window["mesh_frequency"], abs=2)
 
 
-def test_analyze_balances_the_energy_and_lists_the_impacts(bag: Path, tmp_path: Path) -> None:
-    assert analyze_main([str(bag), "--output", str(tmp_path)]) == 0
-    found = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
+def test_analyze_balances_the_energy_and_lists_the_impacts(analysed: Analysed) -> None:
+    found = json.loads((analysed.output / "summary.json").read_text(encoding="utf-8"))
     energy, impacts = found["energy"], found["impacts"]
     assert (energy["from"], energy["to"]) == pytest.approx((0.002, 0.48))
     assert energy["mesh_loss"] > 0.0
     assert energy["stored"] == pytest.approx(energy["kinetic_energy"] + energy["elastic_energy"])
     assert abs(energy["residual"]) < 1e-6 * energy["exchanged"]
-    with (tmp_path / impacts["list"]).open(encoding="utf-8", newline="") as file:
+    with (analysed.output / impacts["list"]).open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == ledger.CSV_HEADER.split(",")
     for gear in ("driving", "driven"):
@@ -243,10 +267,10 @@ def test_analyze_balances_the_energy_and_lists_the_impacts(bag: Path, tmp_path: 
 
 
 def test_a_recording_without_the_ledger_has_none_and_no_other_analysis_remains_beside(
-    bag: Path, tmp_path: Path
+    analysed: Analysed, tmp_path: Path
 ) -> None:
     output = tmp_path / "out"
-    assert analyze_main([str(bag), "--output", str(output)]) == 0
+    shutil.copytree(analysed.output, output)
     (output / "notes.txt").write_text("mine")
     few = Parameters.from_flat(
         {"recording.topics": ["waveform"], "waveform_channels": ("time", "dte", "dte_rate", "mesh_force")}
@@ -256,16 +280,16 @@ def test_a_recording_without_the_ledger_has_none_and_no_other_analysis_remains_b
     found = json.loads((output / "summary.json").read_text(encoding="utf-8"))
     assert (found["energy"], found["impacts"]) == (None, None)
     assert sorted(os.listdir(output)) == [
-        *("notes.txt", "overview.png", "phase_portrait.png", "spectrum.png", "summary.json"),
-        "time_series.png",
+        *("notes.txt", "overview.png", "overview.svg", "phase_portrait.png", "phase_portrait.svg"),
+        *("spectrum.png", "spectrum.svg", "summary.json", "time_series.png", "time_series.svg"),
     ]
 
 
 def test_an_analysis_that_fails_leaves_the_earlier_one(
-    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bag: Path, analysed: Analysed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     output = tmp_path / "out"
-    assert analyze_main([str(bag), "--output", str(output)]) == 0
+    shutil.copytree(analysed.output, output)
     before = {path.name: path.read_bytes() for path in output.iterdir()}
 
     def interrupt(*_: object) -> None:

@@ -75,7 +75,7 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
 HOMES: Final[dict[str, tuple[str, ...]]] = {
     "rclpy": ("ros/*.py",),
     "rerun": ("viewer/*.py",),
-    "matplotlib": ("analysis/figures.py", "sweeps/figures.py", "paper/figures.py"),
+    "matplotlib": ("analysis/figures/*.py", "sweeps/figures.py", "paper/figures.py"),
     "dask": (),
     "distributed": ("sweeps/workers.py",),
     "xarray": ("sweeps/*.py",),
