@@ -130,7 +130,7 @@ def soak(duration: float) -> Found:
     bare, commands = Bare(), 0
     with tempfile.TemporaryDirectory(prefix="soak") as folder:
         bag = Path(folder) / "bag"
-        sinks = {"recording.path": bag, "rerun.mode": "serve", "rerun.port": free_port()}
+        sinks = {"recording.path": bag, "rerun.mode": "serve", "rerun.port": free_port(), "rerun.web_port": 0}
         with running(sinks) as node, Client(node) as client, Progress("soaking", round(duration)) as progress:
             client.hear("waveform", samples.take)
             client.hear("diagnostics", lambda arrival: looks.append(look(arrival.data, node)))

@@ -510,4 +510,10 @@ class RerunParameters:
     port: int = parameter(
         9876, "port on 127.0.0.1 to which viewers connect, for mode serve", minimum=1, maximum=65535
     )
+    web_port: int = parameter(
+        9090,
+        "port on 127.0.0.1 of the page that shows the run in a browser, for mode serve; 0: no page",
+        minimum=0,
+        maximum=65535,
+    )
     url: str = parameter("rerun+http://127.0.0.1:9876/proxy", "address of the viewer, for mode connect")

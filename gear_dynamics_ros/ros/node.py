@@ -160,6 +160,8 @@ class GearboxNode(LifecycleNode):
         self._mailbox = Mailbox(self.parameters, time.monotonic_ns())
         self._commands = CommandReceiver(self, self._mailbox, self.parameters.joint_prefix)
         self._viewer = open_viewer(self.parameters)
+        if self._viewer is not None:
+            self._log.info(f"viewer: {self._viewer.address}")
         # A callback group never drops its entities: one that is used again would grow with each configure.
         group = MutuallyExclusiveCallbackGroup()
         try:

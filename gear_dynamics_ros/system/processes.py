@@ -7,6 +7,7 @@ import math
 import os
 import signal
 import socket
+import subprocess
 import sys
 import threading
 import time
@@ -144,6 +145,28 @@ def end_with_ros2() -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGTERM))
     if os.getppid() != parent:  # it ended before the call
         os.kill(os.getpid(), signal.SIGTERM)
+
+
+def start_child(words: Sequence[str]) -> subprocess.Popen[bytes]:
+    """Start a silent program that, on Linux, ends with the thread that calls this, however that ends.
+
+    Raises OSError if there is no such program.
+    """
+    if not os.access(words[0], os.X_OK):
+        raise FileNotFoundError(f"{words[0]} is no program")
+    launcher = (
+        "import ctypes, os, sys\n"
+        f"if sys.platform == 'linux': ctypes.CDLL(None).prctl({_PR_SET_PDEATHSIG}, {int(signal.SIGTERM)})\n"
+        "os.execv(sys.argv[1], sys.argv[1:])"
+    )
+    # -S leaves out site-packages, which this program doesn't need and which may take long to import.
+    return subprocess.Popen(
+        [sys.executable, "-I", "-S", "-c", launcher, *words],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
 
 
 def _is_ros2(pid: int) -> bool:

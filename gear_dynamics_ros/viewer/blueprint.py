@@ -1,100 +1,282 @@
-"""The viewer's layout: which entity is shown in which view. No data."""
+"""Layouts of the viewer: which entity is shown in which view. No data."""
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final, Literal, NamedTuple
 
 import rerun.blueprint as rrb
 
-TIMELINE: Final = "sim_time"
+from gear_dynamics_ros.channels import GEARS
+from gear_dynamics_ros.viewer.entities import (
+    ABOUT_RUN,
+    ABOUT_VIEW,
+    COMMAND,
+    ENERGY,
+    EVENTS,
+    IMPACT,
+    MESHING,
+    MOMENTS,
+    ORDERS,
+    PHASE_PORTRAIT,
+    REAL_TIME_FACTOR,
+    RUN_TIMELINE,
+    SCENE,
+    SLOW_TIMELINE,
+    channel_entity,
+    orbit_entity,
+)
 
-STATE_VIEW: Final = "mesh/state"
-MESH_VIEWS: Final = {
-    "Dynamic transmission error (µm)": "mesh/dte",
-    "Mesh force (N)": "mesh/force",
-    "Pressure angle (°)": "mesh/pressure_angle",
-    "Meshing state: 1 drive flank, 0 apart, -1 back flank": STATE_VIEW,
-}
-SHAFT_VIEWS: Final = {
-    "Bearing force, driving gear (N)": "bearing/driving",
-    "Bearing force, driven gear (N)": "bearing/driven",
-    "Shaft speeds (rad/s)": "shaft/speed",
-    "Shaft torques (N m)": "shaft/torque",
-}
-PHASE_PORTRAIT: Final = "phase/portrait"
-STROBE: Final = "phase/strobe"
-JOURNALS: Final = ("driving", "driven")
+BACKGROUND: Final = rrb.Background(kind=rrb.BackgroundKind.SolidColor, color=(16, 18, 22))
+PORTRAIT_HALF: Final = complex(2.6, 2.0)  # of the phase portrait
+ORBIT_MARGIN: Final = 1.3
+FILM_MARGIN: Final = 1.15
 
-PORTRAIT_HALF_SIZE: Final = (2.4, 1.8)
-STROBE_SIZE: Final = (3.0, 2.0)
-STROBE_BOTTOM: Final = -0.4
-ORBIT_MARGIN: Final = 1.45
-
-
-def orbit_entity(journal: str) -> str:
-    """Name of the entity of one journal's orbit."""
-    return f"orbit/{journal}"
+Corners = tuple[complex, complex]
 
 
-def time_series_views(views: dict[str, str], legend: bool) -> rrb.Container:
-    """``views`` (entity by title) on top of each other, each with its own value axis."""
-    return rrb.Vertical(
-        *(
-            rrb.TimeSeriesView(
-                name=name,
-                origin=origin,
-                plot_legend=rrb.PlotLegend(visible=legend),
-                axis_y=rrb.ScalarAxis(range=(-1.2, 1.2)) if origin == STATE_VIEW else None,
-            )
-            for name, origin in views.items()
-        )
-    )
+class Views(NamedTuple):
+    """What the layouts need to know of a run; corners are lower left and upper right, in a picture's unit."""
+
+    scene: Corners
+    close_up: Corners
+    still: Corners
+    clearances: Mapping[str, float]  # µm, by gear
+    film_clearances: Mapping[str, float]  # µm, by gear; empty without film
+    spectrum: Corners
 
 
-def plane_view(name: str, origin: str, x: tuple[float, float], y: tuple[float, float]) -> rrb.Spatial2DView:
-    """View of a plane in the ranges ``x`` and ``y`` with y upward.
+class Playback(NamedTuple):
+    """Which timeline is shown when the viewer opens, and whether it moves."""
 
-    Rerun's y axis points down, so the data must have y negated.
-    """
-    return rrb.Spatial2DView(
-        name=name,
-        origin=origin,
-        visual_bounds=rrb.VisualBounds2D(x_range=x, y_range=(-y[1], -y[0])),
-        background=rrb.Background(kind=rrb.BackgroundKind.SolidColor, color=(16, 18, 22)),
-    )
+    timeline: str
+    state: Literal["following", "playing"]
 
 
-def orbit_view(journal: str, clearance: float) -> rrb.Spatial2DView:
-    """View of a journal's orbit in um; ``clearance`` is the bearing's radial clearance in um."""
-    half = ORBIT_MARGIN * clearance
-    return plane_view(
-        f"Journal orbit, {journal} gear (µm)", orbit_entity(journal), (-half, half), (-half, half)
-    )
+LIVE: Final = Playback(RUN_TIMELINE, "following")
+SLOW_MOTION: Final = Playback(SLOW_TIMELINE, "playing")
 
 
-def layout(clearances: dict[str, float]) -> rrb.Blueprint:
-    """The whole window; ``clearances`` are the bearings' radial clearances in um by journal."""
-    across, up = PORTRAIT_HALF_SIZE
-    return rrb.Blueprint(
+def overview_layout(views: Views, playback: Playback) -> rrb.Blueprint:
+    """What the run was, and the moments in which contact is lost: for one who sees it for the first time."""
+    return _window(
         rrb.Horizontal(
-            time_series_views(MESH_VIEWS, legend=False),
-            time_series_views(SHAFT_VIEWS, legend=True),
-            rrb.Grid(
-                *(orbit_view(journal, clearances[journal]) for journal in JOURNALS),
-                plane_view("Phase portrait (normalised)", PHASE_PORTRAIT, (-across, across), (-up, up)),
-                plane_view(
-                    "DTE over one mesh period (normalised)",
-                    STROBE,
-                    (-0.5, STROBE_SIZE[0] + 0.2),
-                    (STROBE_BOTTOM, STROBE_SIZE[1] + 0.1),
-                ),
-                grid_columns=2,
+            rrb.Vertical(
+                _scene(views),
+                rrb.Horizontal(*(_moment(views, *moment) for moment in MOMENT_VIEWS)),
+                row_shares=[3, 2],
             ),
-            column_shares=[3, 3, 5],
+            rrb.Vertical(
+                _close_up(views),
+                _curves("DTE between the flanks (µm)", DTE_CURVES),
+                _states(),
+                _curves("Mesh force (N)", ["mesh_force"]),
+                row_shares=[5, 3, 1.3, 2],
+            ),
+            rrb.Vertical(
+                rrb.TextDocumentView(origin=ABOUT_VIEW, name="What you see"),
+                rrb.TextDocumentView(origin=ABOUT_RUN, name="The run"),
+            ),
+            column_shares=[5, 4, 3],
         ),
+        playback,
+    )
+
+
+def operator_layout(views: Views, playback: Playback) -> rrb.Blueprint:
+    """What is commanded and what the gears do."""
+    return _window(
+        rrb.Horizontal(
+            rrb.Vertical(
+                _scene(views),
+                rrb.Horizontal(
+                    _close_up(views),
+                    rrb.TextDocumentView(origin=ABOUT_VIEW, name="What you see"),
+                ),
+                row_shares=[3, 2],
+            ),
+            rrb.Vertical(
+                _curves("Speeds (rad/s)", SPEEDS, [f"{COMMAND}/speed"]),
+                _curves("Torques (N m)", TORQUES, [f"{COMMAND}/drive_torque", f"{COMMAND}/load_torque"]),
+                _curves("DTE between the flanks (µm)", DTE_CURVES),
+                _states(),
+                _curves("Mesh force (N)", ["mesh_force"]),
+                _curves("Bearing forces (N)", [f"{gear}_bearing_force" for gear in GEARS]),
+                row_shares=[2, 2, 3, 1.2, 2, 2],
+            ),
+            rrb.Vertical(
+                _real_time_factor(),
+                rrb.TimeSeriesView(origin=IMPACT, name="Impacts: closing speed (m/s)", plot_legend=LEGEND),
+                _events(),
+            ),
+            column_shares=[5, 5, 3],
+        ),
+        playback,
+    )
+
+
+def dynamics_layout(views: Views, playback: Playback) -> rrb.Blueprint:
+    """Transmission error, forces, phase portrait, spectrum and energies."""
+    half = PORTRAIT_HALF
+    return _window(
+        rrb.Horizontal(
+            rrb.Vertical(
+                _curves("DTE between the flanks (µm)", DTE_CURVES),
+                _states(),
+                _curves("Mesh force (N)", ["mesh_force"]),
+                _curves("Pressure angle (°)", ["pressure_angle"]),
+                row_shares=[4, 1.3, 3, 2],
+            ),
+            rrb.Vertical(
+                _curves("Speeds (rad/s)", SPEEDS, [f"{COMMAND}/speed"]),
+                _curves("Torques (N m)", TORQUES, [f"{COMMAND}/drive_torque", f"{COMMAND}/load_torque"]),
+                rrb.TimeSeriesView(origin=ENERGY, name="Energy balance (J)", plot_legend=LEGEND),
+                _real_time_factor(),
+                _events(),
+                row_shares=[3, 3, 4, 2, 2],
+            ),
+            rrb.Vertical(
+                _plane("Phase portrait, Poincaré points (normalised)", PHASE_PORTRAIT, (-half, half)),
+                _plane("Spectrum of DTE over mesh orders", ORDERS, views.spectrum),
+                _close_up(views),
+            ),
+            column_shares=[4, 4, 3],
+        ),
+        playback,
+    )
+
+
+def bearing_layout(views: Views, playback: Playback) -> rrb.Blueprint:
+    """Orbits, forces, penetration and impacts of both bearings."""
+    columns = [
+        rrb.Vertical(
+            _plane(
+                f"Journal orbit in the clearance, {gear} gear (µm)",
+                orbit_entity(gear),
+                _square(ORBIT_MARGIN * views.clearances[gear]),
+            ),
+            *(
+                [
+                    _plane(
+                        f"Clearance in the film, {gear} gear (µm)",
+                        orbit_entity(gear),
+                        _square(FILM_MARGIN * views.film_clearances[gear]),
+                    )
+                ]
+                if views.film_clearances
+                else []
+            ),
+        )
+        for gear in GEARS
+    ]
+    forces = [
+        _curves(f"Bearing force, {gear} gear (N)", [f"{gear}_{kind}" for kind in FORCES]) for gear in GEARS
+    ]
+    return _window(
+        rrb.Horizontal(
+            *columns,
+            rrb.Vertical(
+                *forces,
+                _curves("Penetration, negative = gap left (µm)", [f"{gear}_penetration" for gear in GEARS]),
+                rrb.TimeSeriesView(origin=IMPACT, name="Impacts: closing speed (m/s)", plot_legend=LEGEND),
+                _events(),
+                row_shares=[3, 3, 2, 2, 1],
+            ),
+            column_shares=[3, 3, 4],
+        ),
+        playback,
+    )
+
+
+LAYOUTS: Final[dict[str, Callable[[Views, Playback], rrb.Blueprint]]] = {
+    "overview": overview_layout,
+    "operator": operator_layout,
+    "dynamics": dynamics_layout,
+    "bearings": bearing_layout,
+}
+
+DTE_CURVES: Final = ("dte", "half_backlash", "minus_half_backlash")
+SPEEDS: Final = ("driving_speed", "driven_speed")
+TORQUES: Final = ("drive_torque", "load_torque")
+FORCES: Final = ("contact_force", "film_force", "bearing_force")
+MOMENT_VIEWS: Final = (
+    ("drive", "Drive flanks carry"),
+    ("apart", "Contact lost"),
+    ("back", "Back flanks strike"),
+)
+LEGEND: Final = rrb.PlotLegend(corner=rrb.Corner2D.LeftTop)
+NO_LEGEND: Final = rrb.PlotLegend(visible=False)
+
+
+def playback(layout: str) -> Playback:
+    """How a layout plays a run that has ended."""
+    return SLOW_MOTION if layout == "overview" else LIVE
+
+
+def _window(content: rrb.Container, playback: Playback) -> rrb.Blueprint:
+    return rrb.Blueprint(
+        content,
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
+        rrb.TimePanel(
+            state="collapsed",
+            timeline=playback.timeline,
+            play_state=playback.state,
+            loop_mode="all" if playback.timeline == SLOW_TIMELINE else "off",
+        ),
         auto_views=False,
         auto_layout=False,
     )
+
+
+def _plane(name: str, origin: str, corners: Corners, contents: Sequence[str] = ("$origin/**",)) -> rrb.View:
+    """View of a plane with y upward: the data has y negated, as Rerun's y axis points down."""
+    low, high = corners
+    return rrb.Spatial2DView(
+        name=name,
+        origin=origin,
+        contents=list(contents),
+        visual_bounds=rrb.VisualBounds2D(x_range=(low.real, high.real), y_range=(-high.imag, -low.imag)),
+        background=BACKGROUND,
+    )
+
+
+def _square(half: float) -> Corners:
+    return complex(-half, -half), complex(half, half)
+
+
+def _scene(views: Views) -> rrb.View:
+    hidden = [f"{SCENE}/{name}" for name in ("close_up_status", "close_up_mesh_force", "gap")]
+    contents = ["$origin/**", *(f"- {entity}" for entity in hidden)]
+    return _plane("Gears: driving left, driven right (mm)", SCENE, views.scene, contents)
+
+
+def _close_up(views: Views) -> rrb.View:
+    shown = ("teeth", "flanks", "line_of_action", "gap", "close_up_mesh_force", "close_up_status")
+    contents = [f"+ $origin/{name}" for name in shown]
+    return _plane("Teeth in mesh (mm)", SCENE, views.close_up, contents)
+
+
+def _moment(views: Views, name: str, title: str) -> rrb.View:
+    return _plane(title, f"{MOMENTS}/{name}", views.still)
+
+
+def _curves(name: str, channels: Sequence[str], others: Sequence[str] = ()) -> rrb.View:
+    contents = [f"+ /{channel_entity(channel)}" for channel in channels] + [
+        f"+ /{entity}" for entity in others
+    ]
+    return rrb.TimeSeriesView(
+        origin="/", contents=contents, name=name, plot_legend=LEGEND if len(contents) > 1 else NO_LEGEND
+    )
+
+
+def _states() -> rrb.View:
+    return rrb.StateTimelineView(origin=MESHING, name="Meshing state")
+
+
+def _real_time_factor() -> rrb.View:
+    return rrb.TimeSeriesView(origin=REAL_TIME_FACTOR, name="Real-time factor", plot_legend=NO_LEGEND)
+
+
+def _events() -> rrb.View:
+    return rrb.TextLogView(origin=EVENTS, name="Operator events")

@@ -1,294 +1,220 @@
-"""Draws contiguous samples as Rerun's time series, orbits and phase portrait.
-
-Time series have the minimum and the maximum of every POINT_INTERVAL at their own times, which keeps all
-peaks: 2000 points per second and channel; the full waveform is in the recording. Orbits and phase plots show
-the last PICTURE_SPAN at the full rate, every PICTURE_INTERVAL. 10 s of a run take some 20 MB.
-"""
+"""The gears in mesh: outlines, teeth, flanks, line of action, forces, and the journals in the hubs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 from typing import Final, NamedTuple
 
 import numpy as np
-import rerun as rr
 from numpy.typing import NDArray
 
 from gear_dynamics_ros import palette
-from gear_dynamics_ros.channels import COLUMN
+from gear_dynamics_ros.channels import COLUMN, GEARS
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.physics.geometry import base_radii
-from gear_dynamics_ros.viewer import blueprint
-from gear_dynamics_ros.viewer.decimation import extreme_indices
+from gear_dynamics_ros.viewer.canvas import Canvas, Times, circle
+from gear_dynamics_ros.viewer.entities import MOMENTS, SCENE
+from gear_dynamics_ros.viewer.gear_pair import GearPair, MeshContact, PairPose, plane_vector
+from gear_dynamics_ros.viewer.scales import CLOSE_UP_SHARE, MILLIMETRES, DrawingScales
 
-POINT_INTERVAL: Final = 1.0e-3  # s of simulated time
-PICTURE_INTERVAL: Final = 0.04  # s
-PICTURE_SPAN: Final = 0.01  # s
-MICROMETRES: Final = 1.0e6
-DEGREES: Final = 180.0 / np.pi
-CIRCLE_POINTS: Final = 181
-LINE_WIDTH: Final = rr.Radius.ui_points(0.7)
-MARK_SIZE: Final = rr.Radius.ui_points(5.0)
-DOT_SIZE: Final = rr.Radius.ui_points(1.3)
-FRAME_WIDTH: Final = rr.Radius.ui_points(1.0)
-NO_MARK: Final = rr.Radius.ui_points(0.0)
+MICROMETRES: Final = 1.0e6  # per m
+GEAR_COLOURS: Final = {"driving": "#E6E6E6", "driven": "#A8A8A8"}
+# By meshing state, as channel ``meshing_state``.
+STATE_COLOURS: Final = {1: palette.SKY, 0: palette.YELLOW, -1: palette.ORANGE}
+STATE_TEXTS: Final = {1: "drive flanks in contact", 0: "contact lost", -1: "back flanks in contact"}
+MESH_FORCE_COLOUR: Final = palette.PURPLE
+CONTACT_FORCE_COLOUR: Final = palette.ORANGE
+FILM_FORCE_COLOUR: Final = palette.GREEN
+HUB_COLOUR: Final = palette.GREY
+NOTES_HEIGHT: Final = 1.25  # tip radii above the centres
+CLOSE_UP_HALF: Final = 3.4  # modules from the pitch point to the edges of the close-up
+STILL_SHAPE: Final = complex(0.8, 1.25)  # half width and half height of a still, of the close-up's
 
-SampleRows = NDArray[np.float64]
-
-
-class PlottedSeries(NamedTuple):
-    """One curve: its entity, label and colour, and what computes its values (n,) from samples (n, 28)."""
-
-    entity: str
-    label: str
-    colour: str
-    values: Callable[[SampleRows], SampleRows]
+Points = NDArray[np.complex128]
+Values = NDArray[np.float64]
 
 
-def scaled_channel(name: str, scale: float = 1.0) -> Callable[[SampleRows], SampleRows]:
-    """What gives the column ``name`` of samples (n, 28), times ``scale``."""
-    column = COLUMN[name]
-    return lambda samples: samples[:, column] * scale
+class Frames(NamedTuple):
+    """Samples to draw, one picture each."""
+
+    rows: Values  # (n, 28)
+    revolutions: Values  # (n,), whole ones of the driving gear before each
+    times: Times  # n entries
+    note: str = ""  # added to the line of text in each picture
 
 
-def vector_magnitude(name: str) -> Callable[[SampleRows], SampleRows]:
-    """What gives the magnitude of the vector with the components ``name``_x and ``name``_y."""
-    x, y = COLUMN[f"{name}_x"], COLUMN[f"{name}_y"]
-    # np.hypot, which can't overflow, takes several times as long.
-    return lambda samples: np.sqrt(samples[:, x] * samples[:, x] + samples[:, y] * samples[:, y])
+def flank_states(rows: Values) -> list[int]:
+    """Meshing states of samples (n, 28): 1, 0 or -1."""
+    return [int(np.sign(state)) if math.isfinite(state) else 0 for state in rows[:, COLUMN["meshing_state"]]]
 
 
-def plotted_series() -> list[PlottedSeries]:
-    """All curves of the time series views."""
-    curves = [
-        PlottedSeries("mesh/dte", "DTE (µm)", palette.BLUE, scaled_channel("dte", MICROMETRES)),
-        PlottedSeries("mesh/force", "mesh force (N)", palette.ORANGE, scaled_channel("mesh_force")),
-        PlottedSeries(
-            "mesh/pressure_angle",
-            "pressure angle (°)",
-            palette.GREEN,
-            scaled_channel("pressure_angle", DEGREES),
-        ),
-        PlottedSeries("mesh/state", "flank", palette.GREY, scaled_channel("meshing_state")),
-        PlottedSeries(
-            "shaft/speed/driving", "driving (rad/s)", palette.BLUE, scaled_channel("driving_speed")
-        ),
-        PlottedSeries("shaft/speed/driven", "driven (rad/s)", palette.ORANGE, scaled_channel("driven_speed")),
-        PlottedSeries("shaft/torque/drive", "drive (N m)", palette.BLUE, scaled_channel("drive_torque")),
-        PlottedSeries("shaft/torque/load", "load (N m)", palette.ORANGE, scaled_channel("load_torque")),
-    ]
-    for gear in blueprint.JOURNALS:
-        entity = f"bearing/{gear}"
-        curves += [
-            PlottedSeries(
-                f"{entity}/contact", "contact (N)", palette.BLUE, vector_magnitude(f"{gear}_contact_force")
-            ),
-            PlottedSeries(
-                f"{entity}/film", "oil film (N)", palette.SKY, vector_magnitude(f"{gear}_film_force")
-            ),
-        ]
-    return curves
+class GearScene:
+    """Draws both gears, turning, with the teeth in mesh; lengths in mm."""
 
-
-def rgb_values(colour: str) -> tuple[int, int, int]:
-    """Red, green and blue, 0 to 255, of a colour #RRGGBB."""
-    red, green, blue = bytes.fromhex(colour.removeprefix("#"))
-    return red, green, blue
-
-
-def circle_line(radius: float) -> SampleRows:
-    """Closed line about the origin, shape (CIRCLE_POINTS, 2), in the unit of ``radius``."""
-    angle = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS)
-    return radius * np.column_stack([np.cos(angle), np.sin(angle)])
-
-
-def upward_points(x: SampleRows, y: SampleRows) -> SampleRows:
-    """Points with y upward_points in Rerun's plane, whose own y points down; shape (n, 2)."""
-    return np.column_stack([x, -y])
-
-
-class Scene:
-    """Draws a run into one Rerun stream; for one thread."""
-
-    def __init__(self, stream: rr.RecordingStream, parameters: Parameters) -> None:
-        gears, mesh, bearings = parameters.gears, parameters.mesh, parameters.bearings
-        self._stream = stream
-        self._series = plotted_series()
-        self._interval = parameters.solver.sample_interval
-        self._width = max(1, round(POINT_INTERVAL / self._interval))
-        self._span = max(2, round(PICTURE_SPAN / self._interval))
-        self._spacing = max(1, round(PICTURE_INTERVAL / self._interval))
+    def __init__(self, canvas: Canvas, parameters: Parameters, scales: DrawingScales) -> None:
+        self._canvas = canvas
+        self._scales = scales
+        self._pair = GearPair(parameters, scales)
         self._clearances = {
-            "driving": bearings.driving.clearance * MICROMETRES,
-            "driven": bearings.driven.clearance * MICROMETRES,
+            gear: getattr(parameters.bearings, gear).clearance * MILLIMETRES * scales.hub for gear in GEARS
         }
-        self._oil_clearances = {
-            "driving": bearings.driving.oil_clearance * MICROMETRES,
-            "driven": bearings.driven.oil_clearance * MICROMETRES,
-        }
-        self._film = parameters.model == "improved"
-        # Scaled by half the backlash and the torsional mesh frequency, the phase portrait is of order 1.
-        r1, r2 = base_radii(parameters)
-        mode = np.sqrt(mesh.stiffness * (r1**2 / gears.driving.inertia + r2**2 / gears.driven.inertia))
-        self._dte_scale = max(gears.backlash / 2.0, 1e-6)
-        self._rate_scale = self._dte_scale * mode
+        self._nominal = {"driving": 0.0 + 0.0j, "driven": complex(self._pair.centre_distance)}
 
-    def layout(self) -> rr.blueprint.Blueprint:
-        """The views, scaled to the clearances of this run."""
-        return blueprint.layout(self._clearances)
+    @property
+    def bounds(self) -> tuple[complex, complex]:
+        """Lower left and upper right corner of the whole scene."""
+        first, second = self._pair.driving, self._pair.driven
+        height = 1.12 * self._top
+        return (
+            complex(-1.08 * first.tip_radius, -1.08 * max(first.tip_radius, second.tip_radius)),
+            complex(self._pair.centre_distance + 1.08 * second.tip_radius, height),
+        )
+
+    @property
+    def close_up_bounds(self) -> tuple[complex, complex]:
+        """Lower left and upper right corner of the teeth in mesh."""
+        middle, half = self._pair.driving.reference_radius, CLOSE_UP_HALF * self._pair.driving.module
+        return complex(middle - half, -half), complex(middle + half, half)
+
+    @property
+    def still_bounds(self) -> tuple[complex, complex]:
+        """Lower left and upper right corner of a still of the teeth in mesh."""
+        middle, half = self._pair.driving.reference_radius, CLOSE_UP_HALF * self._pair.driving.module
+        return middle - half * STILL_SHAPE, middle + half * STILL_SHAPE
+
+    @property
+    def _top(self) -> float:
+        return NOTES_HEIGHT * max(self._pair.driving.tip_radius, self._pair.driven.tip_radius)
 
     def draw_fixed(self) -> None:
-        """Draw what stays for the whole run: names and colours of curves, circles, axes."""
-        for curve in self._series:
-            style = rr.SeriesLines(
-                colors=rgb_values(curve.colour), names=curve.label, widths=1.2, aggregation_policy="MinMax"
-            )
-            self._stream.log(curve.entity, style, static=True)
-        for journal in blueprint.JOURNALS:
-            self._draw_bearing(journal)
-        self._draw_portrait_frame()
-        self._draw_strobe_frame()
+        """Draw shapes and styles that stay for the whole run."""
+        for gear in GEARS:
+            self._draw_gear(gear)
+            self._draw_hub(gear)
+        self._canvas.style_lines(f"{SCENE}/teeth", list(GEAR_COLOURS.values()), 1.8)
+        self._canvas.style_lines(f"{SCENE}/flanks", [], 5.0)
+        self._canvas.style_lines(f"{SCENE}/line_of_action", [], 1.2)
+        self._canvas.style_lines(f"{SCENE}/gap", [palette.YELLOW], 4.0)
+        for entity in (f"{SCENE}/mesh_force", f"{SCENE}/close_up_mesh_force"):
+            self._canvas.style_arrows(entity, MESH_FORCE_COLOUR)
+        self._canvas.style_labels(f"{SCENE}/status")
+        self._canvas.style_labels(f"{SCENE}/close_up_status")
 
-    def draw(self, samples: SampleRows) -> None:
-        """Draw contiguous samples, shape (n, 28), n > 0."""
-        for curve in self._series:
-            values = curve.values(samples)
-            kept = extreme_indices(values, self._width)
-            self._stream.send_columns(
-                curve.entity,
-                indexes=[self._time_column(samples[kept])],
-                columns=rr.Scalars.columns(scalars=values[kept]),
-                strict=True,
-            )
-        ends = np.arange(len(samples), 0, -self._spacing)[::-1]
-        pictures = [samples[max(0, end - self._span) : end] for end in ends]
-        self._draw_pictures(self._time_column(samples[ends - 1]), pictures)
+    def draw(self, frames: Frames) -> None:
+        """Draw the gears at each of ``frames``."""
+        pose = self._pair.pose(frames.rows, frames.revolutions)
+        contact = self._pair.contact(pose)
+        states = flank_states(frames.rows)
+        colours = [STATE_COLOURS[state] for state in states]
+        times, canvas = frames.times, self._canvas
+        canvas.placements(f"{SCENE}/driving", times, pose.driving_centre, pose.driving_angle)
+        canvas.placements(f"{SCENE}/driven", times, pose.driven_centre, pose.driven_angle)
+        canvas.lines(f"{SCENE}/teeth", times, np.stack(self._pair.teeth_in_mesh(pose), axis=1))
+        canvas.lines(f"{SCENE}/flanks", times, self._flanks(pose, contact), colours)
+        canvas.lines(f"{SCENE}/line_of_action", times, self._pair.line_of_action(pose), colours)
+        canvas.lines(f"{SCENE}/gap", times, gap_lines(contact, states))
+        self._draw_mesh_force(frames, contact)
+        for gear in GEARS:
+            self._draw_journal(gear, frames)
+        texts = status_texts(frames, states)
+        notes = np.full(len(texts), complex(self._pair.driving.reference_radius, self._top))
+        canvas.labels(f"{SCENE}/status", times, notes, texts, colours)
+        upper = np.full(len(texts), complex(notes[0].real, 0.95 * self.close_up_bounds[1].imag))
+        shorter = [STATE_TEXTS[state] + text for state, text in zip(states, gap_texts(frames), strict=True)]
+        canvas.labels(f"{SCENE}/close_up_status", times, upper, shorter, colours)
 
-    @staticmethod
-    def _time_column(samples: SampleRows) -> rr.TimeColumn:
-        return rr.TimeColumn(blueprint.TIMELINE, duration=samples[:, COLUMN["time"]])
+    def draw_moment(self, name: str, title: str, row: Values) -> None:
+        """Draw the teeth in mesh at the sample ``row`` (28,) for the whole run, as the still ``name``."""
+        rows = row[None, :]
+        pose = self._pair.pose(rows, np.zeros(1))
+        contact = self._pair.contact(pose)
+        state = flank_states(rows)[0]
+        teeth = [gear[0] for gear in self._pair.teeth_in_mesh(pose)]
+        entity, colour = f"{MOMENTS}/{name}", STATE_COLOURS[state]
+        self._canvas.fix_lines(f"{entity}/teeth", teeth, list(GEAR_COLOURS.values()), 1.8)
+        self._canvas.fix_lines(f"{entity}/flanks", list(self._flanks(pose, contact)[0]), [colour] * 2, 5.0)
+        self._canvas.fix_lines(f"{entity}/gap", list(gap_lines(contact, [state])[0]), [palette.YELLOW], 4.0)
+        place = complex(self._pair.driving.reference_radius, 0.88 * self.still_bounds[1].imag)
+        self._canvas.fix_labels(f"{entity}/title", {title: place}, colour)
 
-    def _draw_pictures(self, times: rr.TimeColumn, pictures: list[SampleRows]) -> None:
-        for journal in blueprint.JOURNALS:
-            x, y = COLUMN[f"{journal}_x"], COLUMN[f"{journal}_y"]
-            self._draw_trail(
-                blueprint.orbit_entity(journal),
-                times,
-                [upward_points(p[:, x], p[:, y]) * MICROMETRES for p in pictures],
-            )
-        x, y, phase = COLUMN["dte"], COLUMN["dte_rate"], COLUMN["mesh_phase"]
-        self._draw_trail(
-            blueprint.PHASE_PORTRAIT,
-            times,
-            [upward_points(p[:, x] / self._dte_scale, p[:, y] / self._rate_scale) for p in pictures],
-        )
-        width = blueprint.STROBE_SIZE[0] / (2.0 * np.pi)
-        folded = [upward_points(p[:, phase] * width, p[:, x] / self._dte_scale) for p in pictures]
-        self._stream.send_columns(
-            f"{blueprint.STROBE}/samples",
-            indexes=[times],
-            columns=rr.Points2D.columns(positions=np.concatenate(folded)).partition([len(p) for p in folded]),
-            strict=True,
-        )
+    def _flanks(self, pose: PairPose, contact: MeshContact) -> Points:
+        return np.stack(self._pair.flanks_in_mesh(pose, contact), axis=1)
 
-    def _draw_trail(self, entity: str, times: rr.TimeColumn, lines: list[SampleRows]) -> None:
-        self._stream.send_columns(
-            f"{entity}/path", indexes=[times], columns=rr.LineStrips2D.columns(strips=lines), strict=True
-        )
-        self._stream.send_columns(
-            f"{entity}/now",
-            indexes=[times],
-            columns=rr.Points2D.columns(positions=np.array([line[-1] for line in lines])),
-            strict=True,
-        )
+    def _draw_gear(self, gear: str) -> None:
+        entity, shape = f"{SCENE}/{gear}", getattr(self._pair, gear)
+        outline = shape.outline(self._pair.nominal_clearance)
+        mark = np.array([1.15 * self._clearances[gear], 0.97 * shape.root_radius], dtype=np.complex128)
+        colour = GEAR_COLOURS[gear]
+        self._canvas.fix_lines(f"{entity}/outline", [outline], [colour], 1.4)
+        self._canvas.fix_lines(f"{entity}/mark", [mark], [colour], 1.0)
+        self._canvas.fix_lines(f"{entity}/base_circle", [circle(shape.base_radius)], [palette.DIM], 1.0)
 
-    def _log_static(self, entity: str, shape: rr.LineStrips2D | rr.Points2D) -> None:
-        self._stream.log(entity, shape, static=True)
+    def _draw_hub(self, gear: str) -> None:
+        entity, middle, radius = f"{SCENE}/hub/{gear}", self._nominal[gear], self._clearances[gear]
+        cross = [middle + radius * np.array([-1.0, 1.0]) * turn for turn in (1.0, 1.0j)]
+        self._canvas.fix_lines(
+            f"{entity}/clearance",
+            [circle(radius, middle), *cross],
+            [HUB_COLOUR, palette.DIM, palette.DIM],
+            1.2,
+        )
+        self._canvas.fix_labels(
+            f"{entity}/name", {f"{gear} gear": middle - 1.9j * radius}, GEAR_COLOURS[gear]
+        )
+        self._canvas.style_points(f"{entity}/journal", GEAR_COLOURS[gear], 9.0)
+        self._canvas.style_arrows(f"{entity}/contact_force", CONTACT_FORCE_COLOUR)
+        self._canvas.style_arrows(f"{entity}/film_force", FILM_FORCE_COLOUR)
 
-    def _draw_text(self, entity: str, texts: dict[str, tuple[float, float]], colour: str) -> None:
-        positions = [(x, -y) for x, y in texts.values()]
-        self._log_static(
-            entity,
-            rr.Points2D(
-                positions, labels=list(texts), show_labels=True, radii=NO_MARK, colors=rgb_values(colour)
-            ),
-        )
+    def _draw_journal(self, gear: str, frames: Frames) -> None:
+        entity, rows = f"{SCENE}/hub/{gear}", frames.rows
+        moved = MILLIMETRES * self._scales.hub * plane_vector(rows, gear)
+        journal = (self._nominal[gear] + moved)[:, None]
+        self._canvas.points(f"{entity}/journal", frames.times, journal)
+        for kind in ("contact_force", "film_force"):
+            arrows = self._arrows(plane_vector(rows, f"{gear}_{kind}"))[:, None]
+            self._canvas.arrows(f"{entity}/{kind}", frames.times, journal, arrows)
 
-    def _style_trail(self, entity: str) -> None:
-        self._log_static(
-            f"{entity}/path", rr.LineStrips2D.from_fields(colors=rgb_values(palette.SKY), radii=LINE_WIDTH)
-        )
-        self._log_static(
-            f"{entity}/now", rr.Points2D.from_fields(colors=rgb_values(palette.YELLOW), radii=MARK_SIZE)
-        )
+    def _draw_mesh_force(self, frames: Frames, contact: MeshContact) -> None:
+        """Equal and opposite arrows, on each gear at its flank."""
+        force = self._arrows(frames.rows[:, COLUMN["mesh_force"]] * contact.direction)
+        origins = np.stack([contact.point, contact.point], axis=1)
+        arrows = np.stack([-force, force], axis=1)
+        self._canvas.arrows(f"{SCENE}/mesh_force", frames.times, origins, arrows)
+        shorter = CLOSE_UP_SHARE * arrows
+        self._canvas.arrows(f"{SCENE}/close_up_mesh_force", frames.times, origins, shorter)
 
-    def _draw_bearing(self, journal: str) -> None:
-        entity = blueprint.orbit_entity(journal)
-        clearance, oil = self._clearances[journal], self._oil_clearances[journal]
-        circles = [circle_line(clearance), *([circle_line(oil)] if self._film else [])]
-        colours = [palette.ORANGE, *([palette.GREEN] if self._film else [])]
-        self._log_static(
-            f"{entity}/circles",
-            rr.LineStrips2D(circles, colors=[rgb_values(colour) for colour in colours], radii=FRAME_WIDTH),
-        )
-        cross = [[(-clearance, 0.0), (clearance, 0.0)], [(0.0, -clearance), (0.0, clearance)]]
-        self._log_static(
-            f"{entity}/cross", rr.LineStrips2D(cross, colors=rgb_values(palette.DIM), radii=FRAME_WIDTH)
-        )
-        text = {f"bearing clearance {clearance:g} µm": (0.0, 1.25 * clearance)}
-        self._draw_text(f"{entity}/clearance", text, palette.ORANGE)
-        if self._film:
-            text = {f"oil clearance {oil:g} µm": (0.0, 1.03 * oil)}
-            self._draw_text(f"{entity}/oil_clearance", text, palette.GREEN)
-        self._style_trail(entity)
+    def _arrows(self, forces: Points) -> Points:
+        """Arrows in mm of ``forces`` in N, no longer than the scales allow."""
+        arrows = self._scales.force * forces
+        longest = self._scales.longest_arrow
+        return np.asarray(arrows * np.minimum(1.0, longest / np.maximum(np.abs(arrows), 1e-12)))
 
-    def _draw_portrait_frame(self) -> None:
-        across, up = (0.9 * half for half in blueprint.PORTRAIT_HALF_SIZE)
-        axes = [[(-across, 0.0), (across, 0.0)], [(0.0, -up), (0.0, up)]]
-        flanks = [[(side, -up), (side, up)] for side in (-1.0, 1.0)]
-        self._log_static(
-            f"{blueprint.PHASE_PORTRAIT}/axes",
-            rr.LineStrips2D(
-                axes + flanks,
-                colors=[rgb_values(palette.DIM)] * 2 + [rgb_values(palette.ORANGE)] * 2,
-                radii=FRAME_WIDTH,
-            ),
-        )
-        self._draw_text(
-            f"{blueprint.PHASE_PORTRAIT}/labels",
-            {
-                f"back flank -{self._dte_scale * MICROMETRES:g} µm": (-1.0, up),
-                f"drive flank {self._dte_scale * MICROMETRES:g} µm": (1.0, up),
-                "DTE / half backlash →": (-0.55 * across, -0.15),
-                f"DTE rate / {self._rate_scale:.3g} m/s ↑": (0.0, -up),
-            },
-            palette.GREY,
-        )
-        self._style_trail(blueprint.PHASE_PORTRAIT)
 
-    def _draw_strobe_frame(self) -> None:
-        width, height = blueprint.STROBE_SIZE
-        bottom = blueprint.STROBE_BOTTOM / 2.0
-        sides = [[(x, -bottom), (x, -height)] for x in (0.0, width)]
-        self._log_static(
-            f"{blueprint.STROBE}/axes",
-            rr.LineStrips2D(
-                [[(0.0, 0.0), (width, 0.0)], *sides, [(0.0, -1.0), (width, -1.0)]],
-                colors=[rgb_values(palette.DIM)] * 3 + [rgb_values(palette.ORANGE)],
-                radii=FRAME_WIDTH,
-            ),
-        )
-        self._draw_text(
-            f"{blueprint.STROBE}/labels",
-            {
-                "phase 0": (0.0, bottom),
-                "2π": (width, bottom),
-                "half backlash": (width / 2.0, 1.0),
-                "DTE / half backlash ↑": (width / 2.0, height),
-            },
-            palette.GREY,
-        )
-        self._log_static(
-            f"{blueprint.STROBE}/samples",
-            rr.Points2D.from_fields(colors=rgb_values(palette.SKY), radii=DOT_SIZE),
-        )
+def gap_lines(contact: MeshContact, states: list[int]) -> Points:
+    """Lines (n, 1, 2) across the gap along the line of action where contact is lost, else of no length."""
+    apart = np.array([state == 0 for state in states])
+    side = np.where(np.array(states) < 0, -1.0, 1.0)
+    across = np.where(apart, contact.gap, 0.0) * contact.direction * side
+    return np.stack([contact.point, contact.point + across], axis=1)[:, None, :]
+
+
+def gap_texts(frames: Frames) -> list[str]:
+    """What the close-up adds to the meshing state: the gaps on both sides, µm."""
+    half = frames.rows[:, COLUMN["half_backlash"]] * MICROMETRES
+    dte = frames.rows[:, COLUMN["dte"]] * MICROMETRES
+    return [
+        f"\n{b - q:.1f} µm before the drive flank, {b + q:.1f} µm behind"
+        if abs(q) < b
+        else f"\npressed together by {abs(q) - b:.1f} µm"
+        for b, q in zip(half, dte, strict=True)
+    ]
+
+
+def status_texts(frames: Frames, states: list[int]) -> list[str]:
+    """One line for each of ``frames``: time, DTE, state, force."""
+    rows = frames.rows
+    columns = (rows[:, COLUMN[name]] for name in ("time", "dte", "mesh_force", "driving_speed"))
+    return [
+        f"{time:.6f} s{frames.note}: {STATE_TEXTS[state]}\nDTE {dte * MICROMETRES:+.1f} µm, "
+        f"mesh force {force + 0.0:.0f} N, driving speed {speed:.0f} rad/s"
+        for time, dte, force, speed, state in zip(*columns, states, strict=True)
+    ]

@@ -24,7 +24,7 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
     "simulation": {"contract", "system", "parameters", "physics", "messages"},
     "recording": {"contract", "system", "parameters", "messages", "simulation"},
     "analysis": {"contract", "parameters", "physics"},
-    "viewer": {"contract", "system", "parameters", "physics"},
+    "viewer": {"contract", "system", "parameters", "physics", "analysis"},
     "realtime": {"contract", "system", "parameters", "messages", "simulation", "recording"},
     "replay": {"contract", "system", "parameters", "messages", "simulation", "recording", "analysis"},
     "reporting": {"contract", "system", "recording", "analysis"},

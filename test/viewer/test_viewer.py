@@ -1,4 +1,4 @@
-"""The viewer with real engine chunks, real files and real ports."""
+"""The viewer with real engine chunks, real files and real ports: modes, queue, thinning."""
 
 from __future__ import annotations
 
@@ -6,29 +6,26 @@ import socket
 import subprocess
 import sys
 import textwrap
-from collections.abc import Callable, Iterator
+import urllib.request
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from gear_dynamics_ros.channels import COLUMN
 from gear_dynamics_ros.chunk import Chunk
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.simulation.engine import Engine
 from gear_dynamics_ros.viewer import Viewer, open_viewer
-from gear_dynamics_ros.viewer.decimation import extreme_indices
-from gear_dynamics_ros.viewer.stream import contiguous_blocks
+from gear_dynamics_ros.viewer.run_block import blocks_of
+from gear_dynamics_ros.viewer.thinning import Density, extreme_indices, strobe_indices
 from support.domains import free_port
 from support.processes import until
-from support.rerun_files import Rerun, rows_of
+from support.rerun_files import Rerun
 
 rerun = pytest.importorskip("rerun", reason="Rerun is optional at run time")
 
 CHUNKS = 100
-INTERVAL_NS = 10_000
 
 
 def made_for(mode: str, **settings: object) -> Parameters:
@@ -58,114 +55,17 @@ def test_off_is_no_viewer() -> None:
     assert open_viewer(Parameters()) is None
 
 
-def test_saved_file_is_whole_and_holds_every_view(saved: Path, rerun_command: Rerun) -> None:
-    rerun_command("rrd", "verify", saved)
-    described = rerun_command("rrd", "stats", saved)
-    for entity in (
-        "/mesh/dte",
-        "/mesh/force",
-        "/mesh/pressure_angle",
-        "/bearing/driving/contact",
-        "/bearing/driven/film",
-        "/shaft/speed/driven",
-        "/shaft/torque/drive",
-        "/orbit/driving/path",
-        "/orbit/driven/circles",
-        "/phase/portrait/path",
-        "/phase/strobe/samples",
-        "/time_panel",
-    ):
-        assert f"{entity}:" in described
-
-
-@pytest.fixture(scope="module")
-def samples(chunks: list[Chunk]) -> NDArray[np.float64]:
-    return np.vstack([chunk.samples for chunk in chunks])
-
-
-def column(samples: NDArray[np.float64], name: str) -> NDArray[np.float64]:
-    return samples[:, COLUMN[name]]
-
-
-CURVES: dict[str, Callable[[NDArray[np.float64]], NDArray[np.float64]]] = {
-    "/mesh/dte": lambda s: column(s, "dte") * 1e6,
-    "/mesh/force": lambda s: column(s, "mesh_force"),
-    "/mesh/pressure_angle": lambda s: np.degrees(column(s, "pressure_angle")),
-    "/mesh/state": lambda s: column(s, "meshing_state"),
-    "/shaft/speed/driving": lambda s: column(s, "driving_speed"),
-    "/shaft/speed/driven": lambda s: column(s, "driven_speed"),
-    "/shaft/torque/drive": lambda s: column(s, "drive_torque"),
-    "/shaft/torque/load": lambda s: column(s, "load_torque"),
-    **{
-        f"/bearing/{gear}/{kind}": lambda s, name=f"{gear}_{kind}_force": np.hypot(
-            column(s, f"{name}_x"), column(s, f"{name}_y")
-        )
-        for gear in ("driving", "driven")
-        for kind in ("contact", "film")
-    },
-}
-
-
-@pytest.mark.parametrize("entity", CURVES)
-def test_curves_have_the_samples_values_at_their_times_and_every_peak(
-    saved: Path, samples: NDArray[np.float64], entity: str
-) -> None:
-    found = rows_of(saved, entity, "Scalars:scalars", "sim_time")
-    at = np.rint(found.times_ns / INTERVAL_NS).astype(int)
-    np.testing.assert_allclose(found.times_ns, at * INTERVAL_NS, rtol=0.0, atol=1.0)
-    expected = CURVES[entity](samples)
-    values = np.array(found.values)[:, 0]
-    np.testing.assert_allclose(values, expected[at], rtol=1e-15)
-    assert (np.diff(at) > 0).all()
-    # The lowest and the highest of every 100 samples, which are one where nothing changes.
-    for begin in range(0, len(expected), 100):
-        block, kept = expected[begin : begin + 100], values[(at >= begin) & (at < begin + 100)]
-        assert (kept.min(), kept.max()) == pytest.approx((block.min(), block.max()), rel=1e-15)
-        assert len(kept) <= 2
-
-
-def pictures(saved: Path, entity: str, component: str) -> Iterator[tuple[int, NDArray[np.float64]]]:
-    """Index behind the last sample of each picture, and its points (n, 2) with y upward."""
-    found = rows_of(saved, entity, component, "sim_time")
-    assert len(found.values) == 5  # every 40 ms of 0.2 s
-    for time_ns, value in zip(found.times_ns, found.values, strict=True):
-        points = np.array(value[0] if component.startswith("LineStrips") else value, dtype=float)
-        yield round(time_ns / INTERVAL_NS) + 1, points * [1.0, -1.0]
-
-
-@pytest.mark.parametrize("gear", ["driving", "driven"])
-def test_orbits_are_the_paths_of_the_journals_in_micrometres(
-    saved: Path, samples: NDArray[np.float64], gear: str
-) -> None:
-    path = np.column_stack([column(samples, f"{gear}_x"), column(samples, f"{gear}_y")]) * 1e6
-    ends = []
-    for end, points in pictures(saved, f"/orbit/{gear}/path", "LineStrips2D:strips"):
-        np.testing.assert_allclose(points, path[max(0, end - 1000) : end], rtol=1e-6, atol=1e-6)
-        ends.append(end)
-    assert np.diff(ends).tolist() == [4000] * 4
-    for end, points in pictures(saved, f"/orbit/{gear}/now", "Points2D:positions"):
-        np.testing.assert_allclose(points, path[end - 1 : end], rtol=1e-6, atol=1e-6)
-
-
-def test_phase_pictures_are_in_half_backlashes_of_the_mesh_mode(
-    saved: Path, samples: NDArray[np.float64]
-) -> None:
-    half_backlash, torsion = 25e-6, 2.0 * np.pi * 4654.579  # m; rad/s, docs/validation.md
-    dte, rate = column(samples, "dte") / half_backlash, column(samples, "dte_rate")
-    portrait = np.column_stack([dte, rate / (half_backlash * torsion)])
-    for end, points in pictures(saved, "/phase/portrait/path", "LineStrips2D:strips"):
-        np.testing.assert_allclose(points, portrait[max(0, end - 1000) : end], rtol=1e-6, atol=1e-6)
-    turns = column(samples, "mesh_phase") / (2.0 * np.pi)
-    for end, points in pictures(saved, "/phase/strobe/samples", "Points2D:positions"):
-        shown = slice(max(0, end - 1000), end)
-        width = np.ptp(points[:, 0]) / np.ptp(turns[shown])
-        np.testing.assert_allclose(points[:, 0], width * turns[shown], rtol=1e-5, atol=1e-6)
-        np.testing.assert_allclose(points[:, 1], dte[shown], rtol=1e-6, atol=1e-6)
+def test_saved_file_and_its_layouts_are_whole(saved: Path, rerun_command: Rerun) -> None:
+    layouts = sorted(saved.parent.glob("*.rbl"))
+    names = [path.name.split(".")[1] for path in layouts]
+    assert names == ["bearings", "dynamics", "operator", "overview"]
+    rerun_command("rrd", "verify", saved, *layouts)
 
 
 def test_saved_file_is_small(saved: Path, chunks: list[Chunk]) -> None:
     seconds = CHUNKS * len(chunks[0]) * chunks[0].interval_ns * 1e-9
-    assert saved.stat().st_size < 200_000 + 2_500_000 * seconds
+    # The slow motion does not grow with the run.
+    assert saved.stat().st_size < 3_500_000 + 600_000 * seconds
 
 
 def test_existing_file_is_kept(saved: Path) -> None:
@@ -185,19 +85,45 @@ def answers(port: int) -> bool:
         return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
+def listening_addresses(*ports: int) -> set[str]:
+    """Addresses on which any program listens at one of ``ports``."""
+    listening = "0A"
+    rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    places = [row[1].split(":") for row in rows if row[3] == listening]
+    assert not any(int(port, 16) in ports for port in tcp6_ports(listening))
+    return {
+        socket.inet_ntoa(bytes.fromhex(address)[::-1]) for address, port in places if int(port, 16) in ports
+    }
+
+
+def tcp6_ports(state: str) -> list[str]:
+    path = Path("/proc/net/tcp6")
+    rows = [line.split() for line in path.read_text().splitlines()[1:]] if path.exists() else []
+    return [row[1].rpartition(":")[2] for row in rows if row[3] == state]
+
+
 def test_server_listens_on_loopback_and_a_busy_port_is_refused(chunks: list[Chunk]) -> None:
-    port = free_port()
-    viewer = Viewer(made_for("serve", port=port))
+    port, web_port = free_port(), free_port()
+    viewer = Viewer(made_for("serve", port=port, web_port=web_port))
     try:
         for chunk in chunks:
             viewer.write(chunk)
-        until(lambda: answers(port), f"something listens on port {port}")
+        until(lambda: answers(port) and answers(web_port), f"something listens on ports {port}, {web_port}")
+        assert listening_addresses(port, web_port) == {"127.0.0.1"}
+        assert viewer.address.startswith(
+            f"http://127.0.0.1:{web_port}/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A{port}"
+        )
+        with urllib.request.urlopen(viewer.address, timeout=10.0) as page:
+            assert b"Rerun" in page.read()
         with pytest.raises(UsageError, match=rf"rerun\.port {port} can't be used"):
-            Viewer(made_for("serve", port=port))
+            Viewer(made_for("serve", port=port, web_port=free_port()))
+        with pytest.raises(UsageError, match=rf"rerun\.web_port {web_port} can't be used"):
+            Viewer(made_for("serve", port=free_port(), web_port=web_port))
     finally:
         viewer.close()
     assert viewer.error is None
     assert viewer.dropped == 0
+    assert not answers(web_port)
 
 
 def test_without_a_viewer_to_connect_to_everything_is_dropped_and_counted(chunks: list[Chunk]) -> None:
@@ -279,6 +205,36 @@ def test_decimation_of_little_and_of_constants() -> None:
 
 
 def test_a_dropped_chunk_leaves_a_gap(chunks: list[Chunk]) -> None:
-    runs = contiguous_blocks([*chunks[:3], *chunks[5:7]])
-    assert [len(run) for run in runs] == [3 * len(chunks[0]), 2 * len(chunks[0])]
-    np.testing.assert_array_equal(runs[1][0], chunks[5].samples[0])
+    blocks = list(blocks_of([*chunks[:3], *chunks[5:7]]))
+    assert [len(block.rows) for block in blocks] == [3 * len(chunks[0]), 2 * len(chunks[0])]
+    assert blocks[1].first_sample == chunks[5].first_sample
+    np.testing.assert_array_equal(blocks[1].rows[0], chunks[5].samples[0])
+
+
+def test_blocks_of_the_decimation_begin_at_multiples_of_their_width() -> None:
+    values = np.cos(np.arange(1000) * 0.2)
+    whole = set(extreme_indices(values, 100).tolist())
+    parts = {
+        i + begin
+        for begin, end in ((0, 330), (330, 1000))
+        for i in extreme_indices(values[begin:end], 100, begin)
+    }
+    assert whole <= parts
+    assert len(parts) <= len(whole) + 2
+
+
+def test_a_strobe_shows_the_phase_it_is_set_to_or_slow_motion_as_it_is() -> None:
+    phase = np.mod(0.7 * np.arange(1000), 2.0 * np.pi)
+    ends, targets = np.array([300, 600, 900]), np.array([0.5, 1.5, 6.2])
+    chosen = strobe_indices(phase, ends, targets, 100)
+    off = np.mod(phase[chosen] - targets + np.pi, 2.0 * np.pi) - np.pi
+    assert (np.abs(off) < 0.7 / 2.0).all()
+    assert ((chosen < ends) & (chosen >= ends - 100)).all()
+    slow = np.linspace(0.0, 1.0, 1000)
+    assert strobe_indices(slow, ends, targets, 100).tolist() == [299, 599, 899]
+
+
+def test_a_run_of_twice_the_length_takes_one_share_more() -> None:
+    density = Density(60.0)
+    assert [density.spacing(time) for time in (0.0, 59.9, 60.0, 119.0, 120.0, 3600.0)] == [1, 1, 2, 2, 4, 64]
+    assert Density(float("inf")).spacing(1e9) == 1
