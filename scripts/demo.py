@@ -30,7 +30,8 @@ def main() -> int:
     )
     output: Path = parser.parse_args().output
     bag, stream, figures = output / "recording", output / "gearbox.rrd", output / "figures"
-    clear(output, (bag, stream, figures))
+    layouts = tuple(output.glob(f"{stream.stem}.*.rbl"))
+    clear(output, (bag, stream, figures, *layouts))
     environment = os.environ | {
         "ROS_DOMAIN_ID": str(random.choice(DOMAINS)),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",

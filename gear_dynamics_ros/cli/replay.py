@@ -1,4 +1,4 @@
-"""``replay VERB``: inspect, verify, repair, compare, export and play recordings."""
+"""``replay VERB``: inspect, verify, repair, compare, export, play and show recordings."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from gear_dynamics_ros.cli.replay_info import add_info
 from gear_dynamics_ros.cli.replay_publish import add_publish
 from gear_dynamics_ros.cli.replay_recover import add_recover
 from gear_dynamics_ros.cli.replay_verify import add_verify
+from gear_dynamics_ros.cli.replay_view import add_view
 from gear_dynamics_ros.system.command import run_command
 
 
@@ -19,10 +20,11 @@ def replay_main(argv: Sequence[str] | None = None) -> int:
     """Run the command ``replay``; returns the exit code."""
     parser = argparse.ArgumentParser(
         prog="replay",
-        description="Inspect, verify, repair, compare, export and play recordings. See replay VERB --help.",
+        description="Inspect, verify, repair, compare, export, play and show recordings. "
+        "See replay VERB --help.",
     )
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
-    for add in (add_info, add_verify, add_recover, add_diff, add_export, add_publish):
+    for add in (add_info, add_verify, add_recover, add_diff, add_export, add_publish, add_view):
         add(verbs)
     return run_command(lambda arguments: int(arguments.command(arguments)), parser, argv)
 

@@ -84,6 +84,21 @@ def new_file(path: Path) -> Iterator[BinaryIO]:
 
 
 @contextmanager
+def new_named_file(path: Path) -> Iterator[Path]:
+    """As ``new_file``, for a library that opens files by name: gives the name of the draft to make."""
+    draft = _draft_beside(path)
+    _created(draft, lambda: draft.open("xb")).close()
+    with _explained(path):
+        try:
+            yield draft
+            _rename_new(draft, path)
+            sync_folder(path.parent)
+        except BaseException:
+            draft.unlink(missing_ok=True)
+            raise
+
+
+@contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
     """Folder to fill, which appears at ``path`` when the block ends; an existing one is never changed.
 

@@ -208,11 +208,6 @@ LEGEND: Final = rrb.PlotLegend(corner=rrb.Corner2D.LeftTop)
 NO_LEGEND: Final = rrb.PlotLegend(visible=False)
 
 
-def playback(layout: str) -> Playback:
-    """How a layout plays a run that has ended."""
-    return SLOW_MOTION if layout == "overview" else LIVE
-
-
 def _window(content: rrb.Container, playback: Playback) -> rrb.Blueprint:
     return rrb.Blueprint(
         content,

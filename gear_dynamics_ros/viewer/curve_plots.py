@@ -19,6 +19,7 @@ from gear_dynamics_ros.viewer.entities import MESHING, RUN_TIMELINE
 from gear_dynamics_ros.viewer.scene import STATE_COLOURS
 from gear_dynamics_ros.viewer.thinning import extreme_indices
 
+STATE_BLOCKS: Final = 5  # blocks of a curve with one meshing state
 STATE_NAMES: Final = {1: "drive", 0: "apart", -1: "back"}
 IMPACT_COLUMN: Final = {entry.name: i for i, entry in enumerate(IMPACTS)}
 
@@ -67,12 +68,13 @@ class CurvePlots:
             values = curve.values(rows)
             kept = extreme_indices(values, width, first_sample)
             self._canvas.scalars(curve.style.entity, Times(RUN_TIMELINE, times[kept]), values[kept])
-        self._draw_states(times, rows, width)
+        self._draw_states(first_sample, rows, STATE_BLOCKS * width)
 
     def draw_every(self, times: Times, rows: Values) -> None:
-        """Draw all samples (n, 28), n > 0, at ``times``, which need not be those of the run."""
+        """Draw all samples (n, 28), n > 0, at ``times``, which need not be those of the run; then a gap."""
+        ended = Times(times.timeline, np.append(times.ns, times.ns[-1] + 1))
         for curve in self._curves:
-            self._canvas.scalars(curve.style.entity, times, curve.values(rows))
+            self._canvas.scalars(curve.style.entity, ended, np.append(curve.values(rows), np.nan))
         states = rows[:, COLUMN["meshing_state"]]
         began = np.concatenate([[0], np.flatnonzero(np.diff(states) != 0.0) + 1])
         names = [STATE_NAMES.get(state, "apart") for state in states[began].tolist()]
@@ -124,15 +126,15 @@ class CurvePlots:
         """The energies begin again at zero: balance them from the next on."""
         self._first_energies = None
 
-    def _draw_states(self, times: NDArray[np.int64], rows: Values, width: int) -> None:
+    def _draw_states(self, first_sample: int, rows: Values, width: int) -> None:
         """Of every ``width`` samples: back if a back flank struck, else apart if contact was lost."""
         states = rows[:, COLUMN["meshing_state"]]
-        for begin in range(0, len(states), width):
-            least = states[begin : begin + width].min()
-            name = STATE_NAMES.get(least, "apart")
+        begins = [0, *range(width - first_sample % width, len(states), width)]
+        for begin, end in zip(begins, [*begins[1:], len(states)], strict=True):
+            name = STATE_NAMES.get(states[begin:end].min(), "apart")
             if name != self._state:
                 self._state = name
-                self._canvas.states(MESHING, Times(RUN_TIMELINE, times[begin : begin + 1]), [name])
+                self._canvas.states(MESHING, self._at([first_sample + begin]), [name])
 
     def _style(self, style: CurveStyle) -> None:
         lines = rr.SeriesLines(

@@ -28,6 +28,7 @@ FULL_SPAN: Final = 60.0  # s of a run that a file has at full density
 FILE_SEND_INTERVAL: Final = 2.0  # s of wall time between blocks of a file
 LIVE_SEND_INTERVAL: Final = 0.0
 STOP_TIMEOUT: Final = 5.0
+OVERVIEW: Final = "overview"  # the layout that explains a run that has ended
 
 
 class Destination(Protocol):
@@ -54,12 +55,14 @@ class Destination(Protocol):
 
 
 def destination(parameters: Parameters) -> Destination:
-    """The destination that ``rerun.mode`` names. Raises UsageError if it can't be used."""
+    """The destination of a live run that ``rerun.mode`` names. Raises UsageError if it can't be used."""
     mode = parameters.rerun.mode
     if mode == "save":
-        return FileDestination(parameters, Path(parameters.rerun.path))
+        path = Path(parameters.rerun.path)
+        _require_new_files(path)
+        return FileDestination(parameters, path, path)
     if mode == "serve":
-        return ServerDestination(parameters)
+        return ServerDestination(parameters, "operator")
     if mode == "connect":
         return ViewerDestination(parameters)
     raise UsageError(f"rerun.mode {mode!r} shows nothing: use save, serve, connect")
@@ -78,10 +81,11 @@ class _Stream:
         return True
 
     def begin(
-        self, sink: rr.FileSink | rr.GrpcServerSink | rr.GrpcSink, layout: rr.blueprint.Blueprint
+        self, sink: rr.FileSink | rr.GrpcServerSink | rr.GrpcSink, layout: str, playback: blueprint.Playback
     ) -> None:
-        """Send to ``sink``, with ``layout`` as the one it opens with."""
-        self.stream.set_sinks(sink, default_blueprint=layout)
+        """Send to ``sink``, which opens with ``layout`` of LAYOUTS."""
+        opening = blueprint.LAYOUTS[layout](self.display.views(), playback)
+        self.stream.set_sinks(sink, default_blueprint=opening)
         self.display.draw_fixed()
         self.display.canvas.send()
 
@@ -100,26 +104,30 @@ class FileDestination(_Stream):
 
     send_interval = FILE_SEND_INTERVAL
 
-    def __init__(self, parameters: Parameters, path: Path, name: str = "rerun.path") -> None:
-        """``name`` is that of ``path`` in errors. Raises UsageError if a file exists or can't be made."""
+    def __init__(self, parameters: Parameters, path: Path, named: Path) -> None:
+        """Write to ``path``, which the caller renames to ``named`` at the end if they differ."""
         super().__init__(parameters, Density(FULL_SPAN))
-        self.address = str(path)
+        self.address = str(named)
         self._path = path
-        _require_new_files(path, name)
+        self._named = named
 
     def open(self) -> None:
-        views = self.display.views()
-        self.begin(rr.FileSink(self._path), blueprint.overview_layout(views, blueprint.SLOW_MOTION))
-        for layout, path in layout_files(self._path):
-            blueprint.LAYOUTS[layout](views, blueprint.playback(layout)).save(APPLICATION, path)
+        self.begin(rr.FileSink(self._path), OVERVIEW, blueprint.SLOW_MOTION)
+        for layout, path in layout_files(self._named):
+            playback = blueprint.SLOW_MOTION if layout == OVERVIEW else blueprint.LIVE
+            blueprint.LAYOUTS[layout](self.display.views(), playback).save(APPLICATION, path)
 
 
 class ServerDestination(_Stream):
     """A server on the loopback interface for viewers, and a page for browsers."""
 
-    def __init__(self, parameters: Parameters) -> None:
-        """Raises UsageError if a port is taken; Rerun would drop the data."""
+    def __init__(self, parameters: Parameters, layout: str) -> None:
+        """``layout`` is that with which viewers open, one of LAYOUTS.
+
+        Raises UsageError if a port is taken; Rerun would drop the data.
+        """
         super().__init__(parameters, Density(float("inf")))
+        self._layout = layout
         self._port, self._web_port = parameters.rerun.port, parameters.rerun.web_port
         _require_free(self._port, "rerun.port")
         url = f"rerun+http://{SERVER_ADDRESS}:{self._port}/proxy"
@@ -132,7 +140,7 @@ class ServerDestination(_Stream):
 
     def open(self) -> None:
         sink = rr.GrpcServerSink(SERVER_ADDRESS, self._port, server_memory_limit=SERVER_MEMORY)
-        self.begin(sink, blueprint.operator_layout(self.display.views(), blueprint.LIVE))
+        self.begin(sink, self._layout, blueprint.SLOW_MOTION if self._layout == OVERVIEW else blueprint.LIVE)
 
     def close(self) -> None:
         if self._page is not None:
@@ -155,7 +163,7 @@ class ViewerDestination(_Stream):
         return is_listening(*self._place)
 
     def open(self) -> None:
-        self.begin(self._sink, blueprint.operator_layout(self.display.views(), blueprint.LIVE))
+        self.begin(self._sink, "operator", blueprint.LIVE)
 
 
 def layout_files(path: Path) -> Iterator[tuple[str, Path]]:
@@ -182,16 +190,16 @@ def web_page_command(port: int, url: str) -> list[str]:
     ]
 
 
-def _require_new_files(path: Path, name: str) -> None:
+def _require_new_files(path: Path) -> None:
     for target in (path, *(beside for _, beside in layout_files(path))):
         if target.exists():
-            raise UsageError(f"{name} {path}: {target} exists already: name a new file or remove it")
+            raise UsageError(f"rerun.path {path}: {target} exists already: name a new file or remove it")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f"{name} {path}: its folder can't be made: {error.strerror}") from error
+        raise UsageError(f"rerun.path {path}: its folder can't be made: {error.strerror}") from error
     if not os.access(path.parent, os.W_OK):
-        raise UsageError(f"{name} {path}: its folder is not writable: name another")
+        raise UsageError(f"rerun.path {path}: its folder is not writable: name another")
 
 
 def _require_free(port: int, name: str) -> None:

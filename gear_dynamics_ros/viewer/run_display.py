@@ -16,7 +16,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.channels import COLUMN
-from gear_dynamics_ros.events import RESET, RESTORE, START, OperatorEvent
+from gear_dynamics_ros.events import RESET, RESTORE, TIMEOUT, OperatorEvent
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.viewer import blueprint, explanation
 from gear_dynamics_ros.viewer.canvas import Canvas, Times
@@ -40,7 +40,7 @@ STROBE_SPEED: Final = 0.4  # teeth per simulated second that seem to pass
 PICTURE_INTERVAL: Final = 0.1  # s
 PICTURE_SPAN: Final = 0.005  # s
 SPECTRUM_INTERVAL: Final = 0.5  # s
-QUIET: Final = frozenset({START})  # events that need no attention
+ALARMS: Final = frozenset({TIMEOUT, RESET, RESTORE})  # events that need attention
 RUN_IN_PROGRESS: Final = "# The run\n\nIts figures appear here when it has ended."
 TURN: Final = 2.0 * math.pi
 
@@ -115,10 +115,10 @@ class RunDisplay:
         """Write an operator event to the log."""
         if event.kind in (RESET, RESTORE):
             self._curves.restart_energies()
-        level = "INFO" if event.kind in QUIET else "WARN"
+        level = "WARN" if event.kind in ALARMS else "INFO"
         time = Times(RUN_TIMELINE, np.array([round(event.time * 1e9)], dtype=np.int64))
         text = event_text(event)
-        self._summary.add_event(text)
+        self._summary.add_event(event, text)
         self.canvas.log_lines(EVENTS, time, [text], [level])
 
     def draw_pace(self, time: float, real_time_factor: float) -> None:

@@ -4,19 +4,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gear_dynamics_ros.channels import COLUMN, GEARS, IMPACTS
 from gear_dynamics_ros.chunk import Commands
+from gear_dynamics_ros.events import CHANGE, PAUSE, RESUME, OperatorEvent
 
 LINES_KEPT: Final = 12  # of commands and events
+RAMP_GAP: Final = 0.1  # s: changes of commands closer together are one ramp
+PACING: Final = ("pacing.", "stepping.")
+COMMAND_UNITS: Final = {"drive_torque": "N m", "load_torque": "N m", "speed": "rad/s"}
 IMPACT_COLUMN: Final = {entry.name: i for i, entry in enumerate(IMPACTS)}
 MICROMETRES: Final = 1.0e6
 
 Values = NDArray[np.float64]
+
+
+class _Ramp(NamedTuple):
+    """Commands that change step by step."""
+
+    begin: float  # s
+    end: float  # s
+    first: Commands  # before it
+    last: Commands
 
 
 class RunSummary:
@@ -31,7 +44,7 @@ class RunSummary:
         self._states = {1: 0, 0: 0, -1: 0}
         self._peaks: dict[str, tuple[float, float]] = {}  # greatest magnitude and its time
         self._impacts = {gear: (0, 0.0) for gear in GEARS}  # number, fastest
-        self._commands: Commands | None = None
+        self._ramp: _Ramp | None = None
         self._lines: list[str] = []
         self._more = 0
 
@@ -52,13 +65,22 @@ class RunSummary:
     def add_commands(self, commands: Sequence[tuple[int, Commands]]) -> None:
         """Take in commands, each in force from its sample on."""
         for sample, command in commands:
-            if command != self._commands:
-                self._commands = command
-                self._note(f"{sample * self._interval:.3f} s: {command}")
+            time = sample * self._interval
+            if self._ramp is None:
+                self._note(f"{time:.3f} s: {command}")
+                self._ramp = _Ramp(time, time, command, command)
+            elif command != self._ramp.last:
+                if time - self._ramp.end > RAMP_GAP:
+                    self._end_ramp()
+                    self._ramp = _Ramp(time, time, self._ramp.last, command)
+                else:
+                    self._ramp = self._ramp._replace(end=time, last=command)
 
-    def add_event(self, text: str) -> None:
-        """Take in the text of an operator event."""
-        self._note(text)
+    def add_event(self, event: OperatorEvent, text: str) -> None:
+        """Take in an operator event and its ``text``; those of pacing alone are left out."""
+        pacing = all(name.startswith(PACING) for name in event.parameters)
+        if event.kind not in (PAUSE, RESUME) and not (event.kind == CHANGE and pacing):
+            self._note(text)
 
     def add_impacts(self, impacts: Values) -> None:
         """Take in bearing contacts that ended, (k, 6) of IMPACTS."""
@@ -71,6 +93,7 @@ class RunSummary:
         """Markdown."""
         if self._first is None:
             return "# The run\n\nIt has no samples yet."
+        self._end_ramp()
         begin, end = self._first * self._interval, self._end * self._interval
         shares = {state: 100.0 * count / self._samples for state, count in self._states.items()}
         force, dte = self._peaks["mesh_force"], self._peaks["dte"]
@@ -98,6 +121,20 @@ class RunSummary:
         if self._more:
             lines.append(f"- and {self._more} more: see `sim_time`")
         return "\n".join(lines)
+
+    def _end_ramp(self) -> None:
+        """Note the last change of commands."""
+        ramp = self._ramp
+        if ramp is None or ramp.first == ramp.last:
+            return
+        when = f"{ramp.begin:.3f} s" if ramp.begin == ramp.end else f"{ramp.begin:.3f} to {ramp.end:.3f} s"
+        changes = [
+            f"{name} {before:g} to {after:g} {COMMAND_UNITS[name]}"
+            for name, before, after in zip(Commands._fields, ramp.first, ramp.last, strict=True)
+            if before != after
+        ]
+        self._note(f"{when}: {', '.join(changes)}")
+        self._ramp = ramp._replace(first=ramp.last)
 
     def _note(self, line: str) -> None:
         if len(self._lines) < LINES_KEPT:

@@ -12,9 +12,9 @@ MILLIMETRES: Final = 1.0e3  # per m: the scene is drawn in mm
 LARGEST_GAP: Final = 0.4  # modules: what the gaps between the teeth may take of them
 HUB_SIZE: Final = 0.3  # reference radii: circle of the clearance in the hub of a gear
 ARROW_LENGTH: Final = 0.35  # reference radii: arrow of the typical force
-LONGEST_ARROW: Final = 0.9  # reference radii
+LONGEST_ARROW: Final = 0.75  # reference radii
 STRUCK_SHARE: Final = 0.1  # of the force that presses the teeth as far as half the backlash
-CLOSE_UP_SHARE: Final = 0.25  # length of the arrows in the close-up, of those in the scene
+CLOSE_UP_SHARE: Final = 0.2  # length of the arrows in the close-up, of those in the scene
 GREATEST_MAGNIFICATION: Final = 1.0e6
 
 

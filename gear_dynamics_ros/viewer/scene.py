@@ -25,6 +25,7 @@ MESH_FORCE_COLOUR: Final = palette.PURPLE
 CONTACT_FORCE_COLOUR: Final = palette.ORANGE
 FILM_FORCE_COLOUR: Final = palette.GREEN
 HUB_COLOUR: Final = palette.GREY
+JOURNAL_COLOUR: Final = "#FFFFFF"
 NOTES_HEIGHT: Final = 1.25  # tip radii above the centres
 CLOSE_UP_HALF: Final = 3.4  # modules from the pitch point to the edges of the close-up
 STILL_SHAPE: Final = complex(0.8, 1.25)  # half width and half height of a still, of the close-up's
@@ -160,7 +161,7 @@ class GearScene:
         self._canvas.fix_labels(
             f"{entity}/name", {f"{gear} gear": middle - 1.9j * radius}, GEAR_COLOURS[gear]
         )
-        self._canvas.style_points(f"{entity}/journal", GEAR_COLOURS[gear], 9.0)
+        self._canvas.style_points(f"{entity}/journal", JOURNAL_COLOUR, 9.0)
         self._canvas.style_arrows(f"{entity}/contact_force", CONTACT_FORCE_COLOUR)
         self._canvas.style_arrows(f"{entity}/film_force", FILM_FORCE_COLOUR)
 

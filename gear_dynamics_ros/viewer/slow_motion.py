@@ -15,6 +15,7 @@ from gear_dynamics_ros.viewer.scales import round_down
 
 PERIODS_BEFORE: Final = 1.5  # mesh periods of a window before what it shows
 PERIODS_AFTER: Final = 6.5
+CLEARLY_APART: Final = 0.5  # of half the backlash: DTE below it is contact lost that one sees
 LONGEST: Final = 0.02  # s of a window
 MOST_SAMPLES: Final = 4000  # of a window
 SETTLING: Final = 0.05  # s after the start that are not chosen
@@ -46,6 +47,17 @@ class _Pending(NamedTuple):
     subject: Subject
     begin: int  # first sample of the window
     end: int  # sample behind its last
+
+
+def back_struck(rows: Values) -> NDArray[np.bool_]:
+    """Where the back flanks are in contact, of samples (n, 28)."""
+    return np.asarray(rows[:, COLUMN["meshing_state"]] < 0.0)
+
+
+def contact_lost(rows: Values) -> NDArray[np.bool_]:
+    """Where contact is lost so far that one sees it, of samples (n, 28)."""
+    far = rows[:, COLUMN["dte"]] < CLEARLY_APART * rows[:, COLUMN["half_backlash"]]
+    return np.asarray((rows[:, COLUMN["meshing_state"]] == 0.0) & far)
 
 
 class SlowMotionChooser:
@@ -99,11 +111,13 @@ class SlowMotionChooser:
 
     def _find(self, first_sample: int, rows: Values) -> _Pending | None:
         """The first event in new samples that shows more than any window so far."""
-        states = rows[:, COLUMN["meshing_state"]]
-        for subject, state in ((Subject.BACK_STRUCK, -1.0), (Subject.CONTACT_LOST, 0.0)):
+        previous = self._blocks[-2][1][-1:] if len(self._blocks) > 1 else rows[:1]
+        shows = {Subject.BACK_STRUCK: back_struck, Subject.CONTACT_LOST: contact_lost}
+        for subject, test in shows.items():
             if subject <= self._best:
                 return None
-            began = np.flatnonzero((states[1:] == state) & (states[:-1] != state)) + 1
+            shown = test(rows)
+            began = np.flatnonzero(shown & ~np.concatenate([test(previous), shown[:-1]]))
             began = began[began + first_sample >= (self._settled or 0)]
             if len(began):
                 at = int(began[0])
@@ -117,7 +131,7 @@ class SlowMotionChooser:
         period = 1.0 / max(self._mesh_frequency(row), 1e-9)
         samples = min(self._most, (PERIODS_BEFORE + PERIODS_AFTER) * period / self._interval)
         before = samples * PERIODS_BEFORE / (PERIODS_BEFORE + PERIODS_AFTER)
-        return math.ceil(before), max(2, math.ceil(samples - before))
+        return round(before), max(2, round(samples - before))
 
     def _cut(self, pending: _Pending) -> SlowWindow:
         parts = [

@@ -9,7 +9,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from gear_dynamics_ros.chunk import Chunk
-from gear_dynamics_ros.errors import UsageError, one_line
+from gear_dynamics_ros.errors import one_line
 from gear_dynamics_ros.events import OperatorEvent
 from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.system.threads import begin_thread
@@ -37,19 +37,14 @@ class Viewer:
 
     Modes (``rerun.mode``): ``save`` writes a new .rrd file, ``serve`` listens on 127.0.0.1 and hosts a web
     page there, ``connect`` sends to the viewer at ``rerun.url`` as soon as it answers. Raises UsageError if
-    Rerun isn't installed, the file exists or can't be made, a port is taken, or the URL has no host and port.
+    the file exists or can't be made, a port is taken, or the URL has no host and port.
     ``write`` never waits: chunks are dropped and counted while the queue is full or no viewer answers.
     ``viewer.run_display`` says what is drawn.
     """
 
     def __init__(self, parameters: Parameters) -> None:
-        try:
-            from gear_dynamics_ros.viewer import destinations
-        except ImportError as error:
-            raise UsageError(
-                f"rerun.mode is {parameters.rerun.mode}, but Rerun can't be imported ({error}): "
-                "pip install rerun-sdk, or set rerun.mode to none"
-            ) from error
+        from gear_dynamics_ros.viewer import destinations
+
         self._destination = destinations.destination(parameters)
         self._display: RunDisplay = self._destination.display
         self._limit = round(QUEUE_SPAN / parameters.solver.sample_interval)

@@ -9,7 +9,7 @@ from typing import Final
 from gear_dynamics_ros.cli import start
 from support.processes import run_python
 
-REPLAY_VERBS: Final = ("info", "verify", "recover", "diff", "export", "publish")
+REPLAY_VERBS: Final = ("info", "verify", "recover", "diff", "export", "publish", "view")
 COMMANDS: Final = [
     ["gearbox"],
     ["drive"],

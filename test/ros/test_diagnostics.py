@@ -34,6 +34,7 @@ def test_coarse_steps_are_told_where_they_matter(
         "recording.mode:=ring",
         "rerun.mode:=serve",
         f"rerun.port:={free_port()}",
+        "rerun.web_port:=0",
     )
     with Client() as client:
         client.until(lambda: client.status("contacts")[1]["capped"] != "0")

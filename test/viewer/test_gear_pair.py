@@ -134,7 +134,7 @@ def test_turning_direction_and_pitch_point() -> None:
 
 
 def test_scales_are_round_and_leave_the_teeth_whole() -> None:
-    assert drawing_scales(Parameters()) == (20.0, 500.0, pytest.approx(0.02), pytest.approx(54.0))
+    assert drawing_scales(Parameters()) == (20.0, 500.0, pytest.approx(0.02), pytest.approx(45.0))
     assert [round_down(value) for value in (1.0, 1.99, 2.0, 4.9, 5.0, 9.0, 10.0)] == [1, 1, 2, 2, 5, 5, 10]
     for backlash in (1e-9, 1e-4, 1e-3):
         scales = drawing_scales(Parameters.from_flat({"gears.backlash": backlash}))
