@@ -27,7 +27,7 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
     "viewer": {"contract", "system", "parameters", "physics", "analysis"},
     "realtime": {"contract", "system", "parameters", "messages", "simulation", "recording"},
     "replay": {"contract", "system", "parameters", "messages", "simulation", "recording", "analysis"},
-    "reporting": {"contract", "system", "recording", "analysis"},
+    "reporting": {"contract", "system", "parameters", "physics", "recording", "analysis"},
     "sweeps": {"contract", "system", "parameters", "physics", "simulation", "analysis"},
     "identification": {"contract", "system", "parameters", "simulation", "recording", "sweeps"},
     "paper": {
@@ -83,6 +83,7 @@ HOMES: Final[dict[str, tuple[str, ...]]] = {
     "llvmlite": ("physics/kernel/*.py", "simulation/provenance.py"),
     "mcap": ("recording/**/*.py",),
     "rosbags": ("messages/*.py",),
+    "jinja2": ("reporting/rendering.py",),
     "pyarrow": ("recording/export/*.py",),
 }
 MESSAGE_PACKAGES: Final = (
