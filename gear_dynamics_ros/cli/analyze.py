@@ -22,8 +22,8 @@ def analyze_main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="analyze",
         description="A report (HTML, one file), its figures (PNG and SVG), a summary (JSON) and the bearing "
-        "impacts (CSV) of a recording. Some figures show the whole run, the others a window: by default one of "
-        f"{WINDOW_LENGTH:g} s for each set of commands that stayed in force, at most {MOST_WINDOWS}.",
+        "impacts (CSV) of a recording. Some figures show the whole run, the others a window: by default one "
+        f"of {WINDOW_LENGTH:g} s for each set of commands that stayed in force, at most {MOST_WINDOWS}.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 folder or .mcap file")
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder to write to")
