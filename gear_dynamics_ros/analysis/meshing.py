@@ -51,6 +51,7 @@ class MeshingTimeline:
             (capacity, 3)
         )  # sample intervals on the drive flank, on the back flank, and all
         self._kept = np.zeros((0, 2))
+        self._next: int | None = None  # sample after those added
         self._interval = 0.0
         self.from_events = False
 
@@ -64,6 +65,9 @@ class MeshingTimeline:
             self._add_fractions(samples.first, samples.interval, state > 0.0, state < 0.0)
 
     def _add_motion(self, samples: Samples) -> None:
+        if samples.first != self._next:  # samples are missing before these
+            self._kept = self._kept[:0]
+        self._next = samples.first + len(samples)
         motion = np.vstack([self._kept, np.column_stack([samples["dte"], samples["half_backlash"]])])
         self._kept = motion[-NEIGHBOURS:]
         if len(motion) > NEIGHBOURS:

@@ -32,18 +32,25 @@ class TimeSpan(NamedTuple):
 
 
 def steady_window(whole: TimeSpan, changes: Iterable[float], length: float = WINDOW_LENGTH) -> TimeSpan:
-    """The latest ``length`` s without a change in them or in the SETTLING_TIME before them.
+    """The latest of ``steady_windows``; the last ``length`` s of ``whole`` if there are none."""
+    found = steady_windows(whole, changes, length)
+    return found[-1] if found else TimeSpan(max(whole.start, whole.end - length), whole.end)
 
-    The last ``length`` s if there are none. ``changes`` are the times in s of commands and events; one at the
-    start of ``whole`` does not count.
+
+def steady_windows(
+    whole: TimeSpan, changes: Iterable[float], length: float = WINDOW_LENGTH
+) -> list[TimeSpan]:
+    """The last ``length`` s of each time without a change in them or in the SETTLING_TIME before them.
+
+    ``changes`` are the times in s of commands and events; one at the start of ``whole`` does not count. The
+    windows come in the order of time.
     """
     inside = sorted(time for time in changes if whole.start < time < whole.end)
     ends = [*inside, whole.end]
     begins = [whole.start, *(time + SETTLING_TIME for time in inside)]
-    for begin, end in reversed(list(zip(begins, ends, strict=True))):
-        if end - begin >= length:
-            return TimeSpan(end - length, end)
-    return TimeSpan(max(whole.start, whole.end - length), whole.end)
+    return [
+        TimeSpan(end - length, end) for begin, end in zip(begins, ends, strict=True) if end - begin >= length
+    ]
 
 
 def summarize_statistics(statistics: Statistics, span: TimeSpan, parameters: Parameters) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from gear_dynamics_ros.cli.faults import warn_of_faults
 from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.reporting.analysis_report import analyze_recording, left_out, write_analysis
+from gear_dynamics_ros.reporting.windows import MOST_WINDOWS
 from gear_dynamics_ros.system.command import run_command
 
 
@@ -20,9 +21,9 @@ def analyze_main(argv: Sequence[str] | None = None) -> int:
     """Run the command ``analyze``; returns the exit code."""
     parser = argparse.ArgumentParser(
         prog="analyze",
-        description="Figures (PNG and SVG), a summary (JSON) and the bearing impacts (CSV) of a recording. "
-        "The overview shows the whole run, the others a window: "
-        f"by default the last {WINDOW_LENGTH:g} s without a change of commands.",
+        description="A report (HTML, one file), its figures (PNG and SVG), a summary (JSON) and the bearing "
+        "impacts (CSV) of a recording. Some figures show the whole run, the others a window: by default one "
+        f"of {WINDOW_LENGTH:g} s for each set of commands that stayed in force, at most {MOST_WINDOWS}.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 folder or .mcap file")
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder to write to")

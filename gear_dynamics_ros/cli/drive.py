@@ -20,7 +20,7 @@ from gear_dynamics_ros.harness.results import format_results
 from gear_dynamics_ros.system.command import FAILURE, SIGNALLED, run_command
 
 if TYPE_CHECKING:
-    from gear_dynamics_ros.ros.profile_client import ProfileOutcome
+    from gear_dynamics_ros.harness.outcome import ProfileOutcome
 
 
 def drive_main(argv: Sequence[str] | None = None) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +11,14 @@ from numpy.typing import NDArray
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.harness.expectations import Expectation
+from gear_dynamics_ros.harness.outcome import ActedCommand, ChannelBounds, PlayedSamples
 from gear_dynamics_ros.harness.profile import Profile, require_sampling
 from gear_dynamics_ros.harness.results import Result, unreached
 from gear_dynamics_ros.harness.time_axis import Stretch, TimeAxis
+from gear_dynamics_ros.harness.traces import Trace
+
+# Channels that the report shows beside those of the expectations, where the waveform has them.
+CONTEXT: Final = ("driving_speed", "drive_torque", "load_torque")
 
 
 class _WindowMeasurement:
@@ -28,6 +34,7 @@ class _WindowMeasurement:
         self._count = 0
         self._missing = 0
         self._measured = expectation.measure.begin(interval_ns)
+        self.trace = Trace(self._first, self._end)
 
     def add(self, stretch: Stretch, samples: NDArray[np.float64] | None) -> None:
         """Take in what lies in the window of ``samples`` (n, channels), None if they were lost.
@@ -44,7 +51,9 @@ class _WindowMeasurement:
         if samples is None:
             self._missing += end - start
         else:
-            self._measured.add(samples[start:end, self._column])
+            column = samples[start:end, self._column]
+            self._measured.add(column)
+            self.trace.add(stretch.part(start, end), column)
             self._count += end - start
 
     def result(self, position: int, left_out: Sequence[int]) -> Result:
@@ -88,9 +97,10 @@ class Player:
                 )
         self.profile = profile
         self._accepts = accepts
-        self._columns = [channels.index(channel) for channel in needed]
-        self._names = list(needed)
+        self._names = [*needed, *(name for name in CONTEXT if name in channels and name not in needed)]
+        self._columns = [channels.index(channel) for channel in self._names]
         self._windows: list[_WindowMeasurement] = []
+        self._traces: dict[str, Trace] = {}  # of channels over the whole profile
         self._interval_ns = 0
         self._origin = 0  # sample index of profile time 0
         self._reached = 0  # samples since the origin
@@ -142,7 +152,7 @@ class Player:
     @property
     def lateness(self) -> list[float]:
         """By how much each command acted after it was due, s of simulated time."""
-        return [late * self._interval_ns / 1e9 for late in self._axis.lateness]
+        return [acted.late * self._interval_ns / 1e9 for acted in self._axis.values_acted]
 
     def begin(self, sample: int, interval_ns: int) -> None:
         """Let profile time 0 be at ``sample`` (index); samples are ``interval_ns`` apart."""
@@ -151,6 +161,8 @@ class Player:
         if self.profile.expectations:
             self._knots = sorted({-(-time_ns // interval_ns) for time_ns in self.profile.knots_ns})
         self._windows = [self._window(expectation) for expectation in self.profile.expectations]
+        end = samples_before(self.profile.duration, interval_ns)
+        self._traces = {name: Trace(0, end) for name in self._names[1:]}
         self._advance(0)
 
     def feed(self, samples: NDArray[np.float64]) -> None:
@@ -180,6 +192,27 @@ class Player:
             return unreached(self.profile.expectations)
         axis = self._axis
         return tuple(window.result(axis.position, axis.left_out) for window in self._windows)
+
+    def samples(self) -> PlayedSamples:
+        """What the waveform showed so far."""
+        interval_ns = self._interval_ns
+        return PlayedSamples(
+            windows=[ChannelBounds(*window.trace.bounds(interval_ns)) for window in self._windows],
+            channels={
+                name: ChannelBounds(*trace.bounds(interval_ns)) for name, trace in self._traces.items()
+            },
+            started_at=self.started_at,
+            reached=self.time,
+            acted=[
+                ActedCommand(
+                    acted.name,
+                    acted.value,
+                    acted.position * interval_ns / 1e9,
+                    acted.late * interval_ns / 1e9,
+                )
+                for acted in self._axis.values_acted
+            ],
+        )
 
     def _set_origin(self, times: NDArray[np.float64]) -> None:
         if len(times) < 2:
@@ -261,6 +294,9 @@ class Player:
             part = Stretch(first, end, position, stretch.moves)
             for window in self._windows:
                 window.add(part, samples)
+            if samples is not None:
+                for column, trace in enumerate(self._traces.values(), start=1):
+                    trace.add(part, samples[:, column])
 
 
 def _index(time: float, interval_ns: int) -> int:

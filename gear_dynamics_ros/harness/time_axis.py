@@ -21,6 +21,11 @@ class Stretch(NamedTuple):
     position: int
     moves: bool
 
+    def part(self, start: int, end: int) -> Stretch:
+        """Its samples ``start`` to before ``end``, counted from its first."""
+        position = self.position + (start if self.moves else 0)
+        return Stretch(self.first + start, self.first + end, position, self.moves)
+
 
 class _Awaited(NamedTuple):
     """A value that was sent and has not acted yet."""
@@ -38,6 +43,15 @@ class _Anchor(NamedTuple):
     position: int
 
 
+class ActedValue(NamedTuple):
+    """A value that has acted."""
+
+    name: str
+    value: float
+    position: int  # for which it was meant
+    late: int  # samples from the one at which it was due to the one at which it acted
+
+
 class TimeAxis:
     """Positions of samples on the axis of a profile; both count samples from profile time 0 on.
 
@@ -50,7 +64,7 @@ class TimeAxis:
         self._anchors: list[_Anchor] = [_Anchor(0, 0)]
         self._resolved = 0  # samples with a position
         self._position = 0  # of the next sample
-        self.lateness: list[int] = []  # samples from the one at which a command was due to where it acted
+        self.values_acted: list[ActedValue] = []
         self.left_out: list[int] = []  # positions of values that later ones overtook before they acted
 
     @property
@@ -79,7 +93,10 @@ class TimeAxis:
                 self.left_out.extend(awaited.position for awaited in sent[: count - 1])
                 self._awaited = [awaited for awaited in self._awaited if awaited not in sent[:count]]
         if confirmed:
-            self.lateness.extend(max(0, sample - awaited.sample) for awaited in confirmed)
+            self.values_acted.extend(
+                ActedValue(awaited.name, awaited.value, awaited.position, max(0, sample - awaited.sample))
+                for awaited in confirmed
+            )
             last = max(confirmed, key=lambda awaited: awaited.position)
             self._anchors.append(_Anchor(max(sample, last.sample), last.position))
             self._anchors.sort()

@@ -114,6 +114,7 @@ class GearboxClient(ABC):
         )
         self._start = _StartWatch(self._ros, gearbox)
         self._info: GearboxInfo | None = None  # the first one
+        self._described: Mapping[str, Any] = {}  # content of the first ~/model_info
         self._present: Mapping[str, Any] = {}  # parameters in force
         self._heard_at = 0.0  # wall time of the last message or answer, 0 for none
         self._listen("model_info", self._take_info)
@@ -133,6 +134,7 @@ class GearboxClient(ABC):
         self._present = info["parameters"]
         if self._info is not None:
             return
+        self._described = info
         keys = {topic.name: key for key, topic in TOPICS.items()}
         self._info = GearboxInfo(
             epoch_ns=info["epoch_ns"],

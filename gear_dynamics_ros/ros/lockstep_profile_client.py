@@ -11,13 +11,13 @@ from std_msgs.msg import Float64MultiArray
 
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.harness.lockstep import profile_script
+from gear_dynamics_ros.harness.outcome import ProfileOutcome
 from gear_dynamics_ros.harness.player import Player
 from gear_dynamics_ros.harness.profile import Profile
 from gear_dynamics_ros.harness.results import unreached
 from gear_dynamics_ros.messages.decoder import waveform_samples
 from gear_dynamics_ros.ros.gearbox_client import require_take_message, ros_context, take_waiting
 from gear_dynamics_ros.ros.lockstep_client import LockstepClient, play_and_leave
-from gear_dynamics_ros.ros.profile_client import ProfileOutcome
 from gear_dynamics_ros.script import LockstepScript
 from gear_dynamics_ros.system.processes import noted_signals
 from gear_dynamics_ros.topics import TOPICS
@@ -69,8 +69,10 @@ class _LockstepProfileClient(LockstepClient):
         player, elapsed = self._player, self._ended - self._began
         factor = self._arrived_ns / 1e9 / elapsed if elapsed > 0.0 else 0.0
         results = unreached(self._profile.expectations) if player is None else player.results()
+        samples = None if player is None else player.samples()
+        state, signal = self._left_state, self._signal(failure)
         return ProfileOutcome(
-            results, self._published, [], factor, self._left_state, failure, self._signal(failure)
+            results, self._published, [], factor, state, failure, signal, samples, self._described
         )
 
     def _connect(self) -> None:

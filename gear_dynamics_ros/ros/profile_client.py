@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 from rclpy.context import Context
 from rclpy.duration import Duration
@@ -16,9 +16,10 @@ from std_srvs.srv import Trigger
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.events import END, PAUSE, RESET, RESUME
+from gear_dynamics_ros.harness.outcome import ProfileOutcome
 from gear_dynamics_ros.harness.player import Player
 from gear_dynamics_ros.harness.profile import Profile
-from gear_dynamics_ros.harness.results import Result, unreached
+from gear_dynamics_ros.harness.results import unreached
 from gear_dynamics_ros.messages.cdr import stamp_ns
 from gear_dynamics_ros.messages.decoder import AppliedCommands, applied_commands, waveform_samples
 from gear_dynamics_ros.parameters import command_bounds
@@ -39,18 +40,6 @@ REPEAT = 0.1
 DRAIN = 0.5
 # Messages about commands in force that are taken at once.
 APPLIED_AT_ONCE = 100
-
-
-class ProfileOutcome(NamedTuple):
-    """Result of playing a profile."""
-
-    results: tuple[Result, ...]  # of its expectations
-    published: int  # commands
-    lateness: Sequence[float]  # s of simulated time from where each command was due to where it acted
-    real_time_factor: float  # simulated time over wall time, as received; 0 if nothing was
-    state: str  # of the gearbox after lockstep: "runs again" or "stays paused"; empty if it was not changed
-    failure: str  # why it was not played to its end; empty if it was
-    signal: int  # number of the signal that interrupted it, 0 if none did
 
 
 def play_profile(
@@ -203,7 +192,11 @@ class _ProfileClient(GearboxClient):
         lateness = [] if player is None else player.lateness
         elapsed = self._last_chunk - self._first_chunk
         factor = 0.0 if player is None or elapsed <= 0.0 else player.simulated / elapsed
-        return ProfileOutcome(results, self._published, lateness, factor, "", failure, self._signal(failure))
+        samples = None if player is None else player.samples()
+        signal = self._signal(failure)
+        return ProfileOutcome(
+            results, self._published, lateness, factor, "", failure, signal, samples, self._described
+        )
 
     @property
     def _ended(self) -> str:

@@ -224,7 +224,7 @@ def analysed(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Analysed:
 def test_analyze_draws_and_counts(analysed: Analysed) -> None:
     output = analysed.output
     pictures = [f"{name}.{kind}" for name in FIGURES for kind in ("png", "svg")]
-    files = ["summary.json", "impacts.csv", *pictures]
+    files = ["report.html", "summary.json", "impacts.csv", *pictures]
     assert analysed.said.splitlines() == [str(output / name) for name in files]
     assert analysed.warned.startswith("analyze: no order_map: no run-up: ")
     assert analysed.warned.count("\n") == 1
@@ -281,6 +281,7 @@ def test_a_recording_without_the_ledger_has_none_and_no_other_analysis_remains_b
     assert (found["energy"], found["impacts"]) == (None, None)
     assert sorted(os.listdir(output)) == [
         *("notes.txt", "overview.png", "overview.svg", "phase_portrait.png", "phase_portrait.svg"),
+        "report.html",
         *("spectrum.png", "spectrum.svg", "summary.json", "time_series.png", "time_series.svg"),
     ]
 

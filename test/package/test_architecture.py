@@ -26,6 +26,7 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
     "analysis": {"contract", "parameters", "physics"},
     "viewer": {"contract", "system", "parameters", "physics", "analysis"},
     "realtime": {"contract", "system", "parameters", "messages", "simulation", "recording"},
+<<<<<<< HEAD
     "replay": {
         "contract",
         "system",
@@ -37,6 +38,10 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
         "viewer",
     },
     "reporting": {"contract", "system", "recording", "analysis"},
+=======
+    "replay": {"contract", "system", "parameters", "messages", "simulation", "recording", "analysis"},
+    "reporting": {"contract", "system", "parameters", "physics", "recording", "analysis"},
+>>>>>>> a17c423c311e6011d490dfd04ea8b6dc7acd045d
     "sweeps": {"contract", "system", "parameters", "physics", "simulation", "analysis"},
     "identification": {"contract", "system", "parameters", "simulation", "recording", "sweeps"},
     "paper": {
@@ -92,6 +97,7 @@ HOMES: Final[dict[str, tuple[str, ...]]] = {
     "llvmlite": ("physics/kernel/*.py", "simulation/provenance.py"),
     "mcap": ("recording/**/*.py",),
     "rosbags": ("messages/*.py",),
+    "jinja2": ("reporting/rendering.py",),
     "pyarrow": ("recording/export/*.py",),
 }
 MESSAGE_PACKAGES: Final = (

@@ -45,6 +45,7 @@ PROVIDERS: Mapping[str, str] = {
     "PIL": "python3-pil",
     "catkin_pkg": "python3-catkin-pkg-modules",
     "hypothesis": "python3-hypothesis",
+    "jinja2": "python3-jinja2",
     "numpy": "python3-numpy",
     "packaging": "python3-packaging",
     "pytest": "python3-pytest",
