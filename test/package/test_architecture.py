@@ -26,7 +26,6 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
     "analysis": {"contract", "parameters", "physics"},
     "viewer": {"contract", "system", "parameters", "physics", "analysis"},
     "realtime": {"contract", "system", "parameters", "messages", "simulation", "recording"},
-<<<<<<< HEAD
     "replay": {
         "contract",
         "system",
@@ -37,11 +36,7 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
         "analysis",
         "viewer",
     },
-    "reporting": {"contract", "system", "recording", "analysis"},
-=======
-    "replay": {"contract", "system", "parameters", "messages", "simulation", "recording", "analysis"},
     "reporting": {"contract", "system", "parameters", "physics", "recording", "analysis"},
->>>>>>> a17c423c311e6011d490dfd04ea8b6dc7acd045d
     "sweeps": {"contract", "system", "parameters", "physics", "simulation", "analysis"},
     "identification": {"contract", "system", "parameters", "simulation", "recording", "sweeps"},
     "paper": {
