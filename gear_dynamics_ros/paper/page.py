@@ -6,15 +6,36 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
-from gear_dynamics_ros.paper.cases import Effort
+from gear_dynamics_ros.paper.cases import SECTIONS_WITHOUT_RESTITUTION, Effort, ParameterSet
 from gear_dynamics_ros.paper.claims import MIXED
 from gear_dynamics_ros.paper.markdown import markdown_table
 from gear_dynamics_ros.paper.momentum import MomentumBalance, momentum_balances
 from gear_dynamics_ros.paper.parameter_sets import PARAMETER_FILE
 from gear_dynamics_ros.paper.verdicts import AGREEMENT, ComparedNumber, PaperComparison
+from gear_dynamics_ros.parameters import Parameters
 
 UNITS: Final[Mapping[str, str]] = {"um": "µm", "1": ""}  # as the page writes them
 SIGNIFICANT: Final = 5  # digits of our numbers
+
+
+# Rows of the table of parameters, with their units.
+OPEN_UNITS: Final[Mapping[str, str]] = {
+    "static error, mesh orders 1, 2, ...: cosine": "µm",
+    "static error: sine": "µm",
+    "mesh stiffness, relative: cosine": "",
+    "mesh stiffness, relative: sine": "",
+    "bearing clearance": "µm",
+    "bearing length": "mm",
+    "bearing diameter": "mm",
+    "oil clearance": "µm",
+    "Kelvin stiffness": "N/m",
+    "Kelvin damping": "N s/m",
+    "least impact speed": "m/s",
+    "surface: ratio of waves": "",
+    "surface: number of waves": "",
+    "surface: offset, driving": "rad",
+    "surface: offset, driven": "rad",
+}
 
 
 class PaperReport(NamedTuple):
@@ -94,7 +115,8 @@ def _introduction(report: PaperReport) -> str:
         f"{report.effort.speed_step} rpm and those that the text names). Every run starts with the drive "
         f"flank touching, and uses the published equations with `{PARAMETER_FILE}`.\n\n"
         "The paper leaves some parameters open, among them the restitution of sections 3.1, 3.2 and 3.4. "
-        "*One set* has one value for all of them, *by section* has one for each section.\n\n"
+        "*One set* has one restitution for all of them. *By section* has one for each section, and its own "
+        "values of the rest.\n\n"
         "- Forces are those of the bearing contact on the driving gear; the driven gear is equal.\n"
         "- Shares are of time, from located contact events. A range is that of all steps.\n"
         "- A motion is chaotic where neighbours separate and the 0-1 test agrees, as `sweep` has it. The "
@@ -226,33 +248,46 @@ def _refined(report: PaperReport) -> str:
 
 
 def _parameters(report: PaperReport) -> str:
-    parameters = report.one_set.results.parameter_set.parameters
-    bearing = parameters.bearings.driving
-    rows = [
-        ("static error, mesh orders 1, 2, ...: cosine", _list(parameters.mesh.error_cos, 1e6), "µm"),
-        ("static error: sine", _list(parameters.mesh.error_sin, 1e6), "µm"),
-        ("mesh stiffness, relative: cosine", _list(parameters.mesh.stiffness_cos, 1.0), ""),
-        ("mesh stiffness, relative: sine", _list(parameters.mesh.stiffness_sin, 1.0), ""),
-        ("bearing clearance", f"{1e6 * bearing.clearance:g}", "µm"),
-        ("bearing length", f"{1e3 * bearing.length:g}", "mm"),
-        ("bearing diameter", f"{1e3 * bearing.diameter:g}", "mm"),
-        ("oil clearance", f"{1e6 * bearing.oil_clearance:g}", "µm"),
-        ("restitution, one set", f"{bearing.restitution:g}", ""),
-        *(
-            (f"restitution by section: {section}", f"{value:g}", "")
-            for section, value in report.by_section.results.parameter_set.restitution_by_section.items()
-        ),
-        ("Kelvin stiffness", f"{bearing.kelvin_stiffness:g}", "N/m"),
-        ("Kelvin damping", f"{bearing.kelvin_damping:g}", "N s/m"),
-        ("least impact speed", f"{parameters.bearings.minimum_impact_speed:g}", "m/s"),
-        ("surface: ratio of waves", f"{parameters.surface.scale:g}", ""),
-        ("surface: number of waves", f"{parameters.surface.waves}", ""),
-        ("surface: offset, driving", f"{parameters.surface.driving.offset:g}", "rad"),
-        ("surface: offset, driven", f"{parameters.surface.driven.offset:g}", "rad"),
+    sets = [comparison.results.parameter_set for comparison in (report.one_set, report.by_section)]
+    columns = [_open_values(one.parameters) for one in sets]
+    rows = [(name, *(column[name] for column in columns), unit) for name, unit in OPEN_UNITS.items()]
+    rows += [
+        (f"restitution, section {section}", *(_restitution(one, section) for one in sets), "")
+        for section in SECTIONS_WITHOUT_RESTITUTION
     ]
-    return f"What the paper leaves open, from `{PARAMETER_FILE}`:\n\n" + markdown_table(
-        ("parameter", "value", "unit"), rows
+    return (
+        f"What the paper leaves open; *one set* is `{PARAMETER_FILE}`. [paper_search.md](paper_search.md) "
+        "has the ranges in which it was looked for, and what cannot be had together.\n\n"
+        + markdown_table(("parameter", "one set", "by section", "unit"), rows)
     )
+
+
+def _open_values(parameters: Parameters) -> dict[str, str]:
+    """Values of OPEN_UNITS, as text."""
+    mesh, surface, bearing = parameters.mesh, parameters.surface, parameters.bearings.driving
+    values = (
+        _list(mesh.error_cos, 1e6),
+        _list(mesh.error_sin, 1e6),
+        _list(mesh.stiffness_cos, 1.0),
+        _list(mesh.stiffness_sin, 1.0),
+        f"{1e6 * bearing.clearance:g}",
+        f"{1e3 * bearing.length:g}",
+        f"{1e3 * bearing.diameter:g}",
+        f"{1e6 * bearing.oil_clearance:g}",
+        f"{bearing.kelvin_stiffness:g}",
+        f"{bearing.kelvin_damping:g}",
+        f"{parameters.bearings.minimum_impact_speed:g}",
+        f"{surface.scale:g}",
+        f"{surface.waves}",
+        f"{surface.driving.offset:g}",
+        f"{surface.driven.offset:g}",
+    )
+    return dict(zip(OPEN_UNITS, values, strict=True))
+
+
+def _restitution(one: ParameterSet, section: str) -> str:
+    everywhere = one.parameters.bearings.driving.restitution
+    return f"{one.restitution_by_section.get(section, everywhere):g}"
 
 
 def _list(values: Sequence[float], scale: float) -> str:

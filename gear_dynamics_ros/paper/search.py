@@ -37,14 +37,13 @@ def search_paper(
     seed: int,
     progress: Callable[[int], object],
 ) -> list[PaperTrial]:
-    """All trials of a differential evolution that begins with ``space.base``, in their order.
+    """All trials of a differential evolution that begins with ``space.start``, in their order.
 
-    The base comes first, and then sets spread over the whole space. ``progress`` is called after each
+    The start comes first, and then sets spread over the whole space. ``progress`` is called after each
     generation with the number of generations. The same for any number of workers. Raises FitStopped.
     """
     from scipy.optimize import differential_evolution
 
-    start = np.array([unknown.start(space.base) for unknown in space.unknowns])
     found: list[PaperTrial] = []
     done = itertools.count(1)
 
@@ -59,7 +58,7 @@ def search_paper(
 
     differential_evolution(
         missing,
-        [(0.0, 1.0)] * len(start),
+        [(0.0, 1.0)] * len(space.start),
         maxiter=generations - 1,
         popsize=POPULATION,
         init="sobol",
@@ -68,7 +67,7 @@ def search_paper(
         polish=False,
         updating="deferred",
         vectorized=True,
-        x0=start,
+        x0=space.start,
     )
     return found
 

@@ -15,7 +15,7 @@ QUANTITIES: Final = {number.id: f"{number.quantity} ({number.where})" for number
 
 
 class PaperSearch(NamedTuple):
-    """One search: its space and all of its trials; the first is the set of the parameter file."""
+    """One search: its space and all of its trials; the first is the set of paper.md."""
 
     title: str
     space: PaperSearchSpace
@@ -38,15 +38,15 @@ def _introduction(command: str) -> str:
     measurement = SEARCHED.measurement
     return (
         f"Written by `{command}`. A differential evolution looked, within what is plausible, for values of "
-        "what the source paper leaves open that agree with more of its numbers and claims than "
-        "`config/paper.yaml`, which is the first trial. The others of the first generation are spread over "
-        "the whole space (Sobol's sequence).\n\n"
+        "what the source paper leaves open that agree with more of its numbers and claims than those of "
+        "[paper.md](paper.md). These are the first trial; the others of the first generation are spread "
+        "over the whole space (Sobol's sequence).\n\n"
         f"Each trial runs what [paper.md](paper.md) shows, more coarsely: speeds every {SEARCHED.speed_step} "
         f"rpm and those that the text names, {measurement.transient} mesh periods dropped, "
         f"{measurement.keep} kept, and no exponents: the 0-1 test alone tells what is chaotic. So the "
         "numbers of a trial can differ from those of the full run.\n\n"
-        "The tables have what the file misses. *Sets* are the trials that agree there. *Best of them* is "
-        "the one that agrees with most of all, and *then lost* is what the file agrees with and that one "
+        "The tables have what the set of paper.md misses. *Sets* are the trials that agree there. *Best of them* is "
+        "the one that agrees with most of all, and *then lost* is what that set agrees with and that one "
         "does not."
     )
 
@@ -57,11 +57,11 @@ def _chapter(search: PaperSearch) -> Iterable[str]:
     better = sum(_rank(trial) > _rank(first) for trial in others)
     yield f"## {search.title}"
     yield (
-        f"{len(search.trials)} sets. `config/paper.yaml` agrees with {_totals(first)}, the best of the "
-        f"others with {_totals(best)}. {better} agree with more than the file."
+        f"{len(search.trials)} sets. The set of paper.md agrees with {_totals(first)}, the best of the "
+        f"others with {_totals(best)}. {better} agree with more than that set."
     )
     yield markdown_table(
-        ("what the file misses", "sets", "best of them", "then lost"),
+        ("what that set misses", "sets", "best of them", "then lost"),
         [
             *(
                 _row(f"{name}: {QUANTITIES[name]}", [t for t in search.trials if name in t.numbers], first)

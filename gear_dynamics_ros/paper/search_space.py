@@ -13,6 +13,7 @@ from gear_dynamics_ros.identification.objective import Outcome
 from gear_dynamics_ros.identification.unknowns import Unknown, read_unknowns, trial_parameters
 from gear_dynamics_ros.paper.cases import SECTIONS_WITHOUT_RESTITUTION, Effort, ParameterSet
 from gear_dynamics_ros.paper.claims import CLAIMS, ClaimCheck
+from gear_dynamics_ros.paper.parameter_sets import one_set, set_by_section
 from gear_dynamics_ros.paper.printed import PRINTED_NUMBERS, Comparability
 from gear_dynamics_ros.paper.results import run_cases
 from gear_dynamics_ros.paper.verdicts import AGREEMENT, ComparedNumber, compare
@@ -38,7 +39,7 @@ OPEN_PARAMETERS: Final = (
 )
 RESTITUTION: Final = "bearings.*.restitution=0.15:1.0"
 # No exponents: the 0-1 test alone tells what is chaotic. They would take as long as everything else.
-SEARCHED: Final = Effort("search", 250, 0.05, Measurement(transient=200, keep=110, exponent_intervals=0))
+SEARCHED: Final = Effort("search", 400, 0.05, Measurement(transient=200, keep=110, exponent_intervals=0))
 COMPARABLE: Final = tuple(number.id for number in PRINTED_NUMBERS if number.comparable is Comparability.YES)
 # What is missing of a number that hardly differs, or of a claim of which hardly anything does not hold.
 LEAST_MISSING: Final = 0.3
@@ -55,6 +56,7 @@ class PaperSearchSpace:
     base: Parameters
     unknowns: tuple[Unknown, ...]
     sections: tuple[str, ...]
+    start: NDArray[np.float64]  # (n,), the coordinates of the set that is known
     effort: Effort = SEARCHED
 
     def parameter_set(self, coordinates: NDArray[np.float64]) -> ParameterSet:
@@ -83,17 +85,30 @@ class PaperSearchSpace:
         return Outcome(np.sqrt(2.0 * np.array(missing)), "")
 
 
-def one_restitution(base: Parameters) -> PaperSearchSpace:
-    """All sections that name no restitution have the same."""
-    return PaperSearchSpace(base, read_unknowns([*OPEN_PARAMETERS, RESTITUTION], base), ())
+def one_restitution(parameters: Parameters) -> PaperSearchSpace:
+    """All sections that name no restitution have the same; it starts with ``one_set``."""
+    base = one_set(parameters).parameters
+    unknowns = read_unknowns([*OPEN_PARAMETERS, RESTITUTION], base)
+    return PaperSearchSpace(base, unknowns, (), _coordinates(unknowns, base))
 
 
-def own_restitutions(base: Parameters) -> PaperSearchSpace:
-    """Each section that names no restitution has its own."""
-    unknowns = read_unknowns(OPEN_PARAMETERS, base)
-    (restitution,) = read_unknowns([RESTITUTION], base)
+def own_restitutions(parameters: Parameters) -> PaperSearchSpace:
+    """Each section that names no restitution has its own; it starts with ``set_by_section``."""
+    known = set_by_section(parameters)
+    unknowns = read_unknowns(OPEN_PARAMETERS, known.parameters)
+    (restitution,) = read_unknowns([RESTITUTION], known.parameters)
     sections = SECTIONS_WITHOUT_RESTITUTION
-    return PaperSearchSpace(base, (*unknowns, *(restitution for _ in sections)), sections)
+    start = [restitution.coordinate(known.restitution_by_section[section]) for section in sections]
+    return PaperSearchSpace(
+        known.parameters,
+        (*unknowns, *(restitution for _ in sections)),
+        sections,
+        np.array([*_coordinates(unknowns, known.parameters), *start]),
+    )
+
+
+def _coordinates(unknowns: Sequence[Unknown], parameters: Parameters) -> NDArray[np.float64]:
+    return np.array([unknown.start(parameters) for unknown in unknowns])
 
 
 def _missing_of_number(found: ComparedNumber) -> float:

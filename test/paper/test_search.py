@@ -27,13 +27,9 @@ BASE = load_parameters(ROOT / PARAMETER_FILE)
 COARSE = Effort("coarse", 8000, 0.5, Measurement(60, 100, 60, exponent_intervals=0))
 
 
-def start_of(space) -> np.ndarray:
-    return np.array([unknown.start(space.base) for unknown in space.unknowns])
-
-
 def test_the_space_holds_the_parameter_file() -> None:
     space = one_restitution(BASE)
-    found = space.parameter_set(start_of(space)).parameters.to_flat()
+    found = space.parameter_set(space.start).parameters.to_flat()
     for name, value in BASE.to_flat().items():
         if isinstance(value, float):
             assert found[name] == pytest.approx(value, rel=1e-12, abs=1e-18), name
@@ -43,17 +39,17 @@ def test_the_space_holds_the_parameter_file() -> None:
 
 def test_each_section_can_have_its_own_restitution() -> None:
     space = own_restitutions(BASE)
-    coordinates = start_of(space)
+    coordinates = space.start.copy()
     coordinates[-3:] = 0.0, 0.5, 1.0
     found = space.parameter_set(coordinates)
     assert dict(found.restitution_by_section) == pytest.approx({"3.1": 0.15, "3.2": 0.575, "3.4": 1.0})
-    assert found.parameters.bearings == space.parameter_set(start_of(space)).parameters.bearings
+    assert found.parameters.bearings == space.parameter_set(space.start).parameters.bearings
 
 
 def test_what_is_missing_is_zero_where_the_comparison_agrees() -> None:
     space = replace(one_restitution(BASE), effort=COARSE)
-    outcome = space.outcome(start_of(space))
-    comparison = compare(run_cases(space.parameter_set(start_of(space)), COARSE, measure, 1, lambda: None))
+    outcome = space.outcome(space.start)
+    comparison = compare(run_cases(space.parameter_set(space.start), COARSE, measure, 1, lambda: None))
     agree = {found.number.id for found in comparison.numbers if found.verdict == AGREES}
     hold = {judged.claim.number for judged in comparison.claims if judged.judgement.holds is True}
     zero = outcome.residuals == 0.0
@@ -79,7 +75,7 @@ def test_the_page_tells_what_the_others_lose() -> None:
     (row,) = [line for line in page.splitlines() if line.startswith("| 5a-i: ")]
     assert row.endswith("| 0 | - | - |")
     assert "| claim 2: " not in page and "| claim 3: " in page
-    assert "0 agree with more than the file" in page
+    assert "0 agree with more than that set" in page
     assert "`bearings.*.clearance` | 1e-05 to 4.5e-05 m" in page
 
 
@@ -96,5 +92,5 @@ def test_an_interrupted_search_goes_on_with_the_same_trials(tmp_path: Path) -> N
     assert [(t.numbers, t.claims, t.missing) for t in again] == [
         (t.numbers, t.claims, t.missing) for t in found
     ]
-    assert np.array_equal(found[0].coordinates, start_of(space))
+    assert np.array_equal(found[0].coordinates, space.start)
     assert len({t.missing for t in found}) > 1
