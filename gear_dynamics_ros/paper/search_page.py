@@ -45,9 +45,9 @@ def _introduction(command: str) -> str:
         f"rpm and those that the text names, {measurement.transient} mesh periods dropped, "
         f"{measurement.keep} kept, and no exponents: the 0-1 test alone tells what is chaotic. So the "
         "numbers of a trial can differ from those of the full run.\n\n"
-        "The tables have what the set of paper.md misses. *Sets* are the trials that agree there. *Best of them* is "
-        "the one that agrees with most of all, and *then lost* is what that set agrees with and that one "
-        "does not."
+        "The tables have what the set of paper.md misses. *Sets* are the trials that agree there. *Best of "
+        "them* is the one that agrees with most of all, and *then lost* is what the set of paper.md agrees "
+        "with and that one does not."
     )
 
 
