@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import threading
+import time
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.cli.faults import warn_of_faults
@@ -13,6 +13,9 @@ from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import specifications
 from gear_dynamics_ros.replay.view import draw_recording, file_of, require_viewable, server_of
+from gear_dynamics_ros.system.processes import noted_signals
+
+SIGNAL_INTERVAL: Final = 0.1  # s between two looks for a signal
 
 
 def add_view(verbs: Any) -> None:
@@ -60,8 +63,10 @@ def _serve(bag: recording.Recording, first: int, end: int, port: int, web_port: 
     with server_of(bag, port, web_port) as target:
         with Progress("drawn", end - first) as progress:
             draw_recording(bag, first, end, target, progress)
-        print(f"{target.address}\nCtrl-C ends it", flush=True)
-        threading.Event().wait()
+        with noted_signals() as received:
+            print(f"{target.address}\nCtrl-C ends it", flush=True)
+            while not received:
+                time.sleep(SIGNAL_INTERVAL)
     return 0
 
 

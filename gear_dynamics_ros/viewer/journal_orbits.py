@@ -66,9 +66,9 @@ class BearingOrbits:
             [palette.ORANGE, palette.DIM, palette.DIM],
             1.6,
         )
-        text = {f"bearing clearance {clearance:g} µm": 1.1j * clearance}
+        text = {f"bearing clearance {clearance:g} µm": 1.28j * clearance}
         self._canvas.fix_labels(f"{entity}/clearance_name", text, palette.ORANGE)
         if self.film:
             self._canvas.fix_lines(f"{entity}/film", [circle(film)], [palette.GREEN], 1.6)
-            text = {f"film clearance {film:g} µm": 1.05j * film}
+            text = {f"film clearance {film:g} µm": 1.14j * film}
             self._canvas.fix_labels(f"{entity}/film_name", text, palette.GREEN)

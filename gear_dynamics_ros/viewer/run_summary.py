@@ -13,7 +13,8 @@ from gear_dynamics_ros.channels import COLUMN, GEARS, IMPACTS
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.events import CHANGE, PAUSE, RESUME, OperatorEvent
 
-LINES_KEPT: Final = 12  # of commands and events
+LINES_SHOWN: Final = 12  # of commands and events
+LINES_KEPT: Final = 1000
 RAMP_GAP: Final = 0.1  # s: changes of commands closer together are one ramp
 PACING: Final = ("pacing.", "stepping.")
 COMMAND_UNITS: Final = {"drive_torque": "N m", "load_torque": "N m", "speed": "rad/s"}
@@ -45,8 +46,8 @@ class RunSummary:
         self._peaks: dict[str, tuple[float, float]] = {}  # greatest magnitude and its time
         self._impacts = {gear: (0, 0.0) for gear in GEARS}  # number, fastest
         self._ramp: _Ramp | None = None
-        self._lines: list[str] = []
-        self._more = 0
+        self._lines: list[tuple[float, str]] = []  # time in s, text
+        self._more = 0  # lines beyond those kept
 
     def add(self, first_sample: int, rows: Values) -> None:
         """Take in contiguous samples (n, 28), n > 0."""
@@ -67,7 +68,7 @@ class RunSummary:
         for sample, command in commands:
             time = sample * self._interval
             if self._ramp is None:
-                self._note(f"{time:.3f} s: {command}")
+                self._note(time, f"{time:.3f} s: {command}")
                 self._ramp = _Ramp(time, time, command, command)
             elif command != self._ramp.last:
                 if time - self._ramp.end > RAMP_GAP:
@@ -80,7 +81,7 @@ class RunSummary:
         """Take in an operator event and its ``text``; those of pacing alone are left out."""
         pacing = all(name.startswith(PACING) for name in event.parameters)
         if event.kind not in (PAUSE, RESUME) and not (event.kind == CHANGE and pacing):
-            self._note(text)
+            self._note(event.time, text)
 
     def add_impacts(self, impacts: Values) -> None:
         """Take in bearing contacts that ended, (k, 6) of IMPACTS."""
@@ -116,10 +117,11 @@ class RunSummary:
             "",
             "**Commands and events**",
             "",
-            *(f"- {line}" for line in self._lines),
+            *(f"- {line}" for _, line in sorted(self._lines)[:LINES_SHOWN]),
         ]
-        if self._more:
-            lines.append(f"- and {self._more} more: see `sim_time`")
+        more = len(self._lines) + self._more - LINES_SHOWN
+        if more > 0:
+            lines.append(f"- and {more} more: see `sim_time`")
         return "\n".join(lines)
 
     def _end_ramp(self) -> None:
@@ -133,11 +135,11 @@ class RunSummary:
             for name, before, after in zip(Commands._fields, ramp.first, ramp.last, strict=True)
             if before != after
         ]
-        self._note(f"{when}: {', '.join(changes)}")
+        self._note(ramp.begin, f"{when}: {', '.join(changes)}")
         self._ramp = ramp._replace(first=ramp.last)
 
-    def _note(self, line: str) -> None:
+    def _note(self, time: float, line: str) -> None:
         if len(self._lines) < LINES_KEPT:
-            self._lines.append(line)
+            self._lines.append((time, line))
         else:
             self._more += 1
