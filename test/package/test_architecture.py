@@ -26,6 +26,7 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
     "analysis": {"contract", "parameters", "physics"},
     "viewer": {"contract", "system", "parameters", "physics", "analysis"},
     "realtime": {"contract", "system", "parameters", "messages", "simulation", "recording"},
+<<<<<<< HEAD
     "replay": {
         "contract",
         "system",
@@ -37,6 +38,11 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
         "viewer",
     },
     "reporting": {"contract", "system", "parameters", "physics", "recording", "analysis"},
+=======
+    "replay": {"contract", "system", "parameters", "messages", "simulation", "recording", "analysis"},
+    "harness": {"contract", "system", "parameters"},
+    "reporting": {"contract", "system", "parameters", "physics", "recording", "analysis", "harness"},
+>>>>>>> dc6690f (drive --report: a test rig's run as one HTML page, with a plot of the window of each expectation)
     "sweeps": {"contract", "system", "parameters", "physics", "simulation", "analysis"},
     "identification": {"contract", "system", "parameters", "simulation", "recording", "sweeps"},
     "paper": {
@@ -49,7 +55,6 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
         "sweeps",
         "identification",
     },
-    "harness": {"contract", "system", "parameters"},
     "ros": {
         "contract",
         "system",
