@@ -26,6 +26,9 @@ def generate_launch_description() -> LaunchDescription:
                 "junit", default_value="", description="file for the results as JUnit XML; empty: none"
             ),
             DeclareLaunchArgument(
+                "report", default_value="", description="file for the report, an HTML page; empty: none"
+            ),
+            DeclareLaunchArgument(
                 "lockstep",
                 default_value="false",
                 description="true: step the gearbox, so that each command acts at exactly its sample",
@@ -39,15 +42,16 @@ def generate_launch_description() -> LaunchDescription:
 def _drive(context: LaunchContext) -> list[Node]:
     chosen = {
         name: LaunchConfiguration(name).perform(context)
-        for name in ("profile", "junit", "lockstep", "namespace", "name")
+        for name in ("profile", "junit", "report", "lockstep", "namespace", "name")
     }
     node = f"/{chosen['namespace'].strip('/')}/{chosen['name']}".replace("//", "/")
     # How long the start of the gearbox takes does not count. If it fails, its launch file ends the launch.
     arguments = [chosen["profile"], "--node", node, "--wait", "60"]
     if chosen["lockstep"].lower() in ("true", "1"):
         arguments.append("--lockstep")
-    if chosen["junit"]:
-        arguments += ["--junit", chosen["junit"]]
+    for option in ("junit", "report"):
+        if chosen[option]:
+            arguments += [f"--{option}", chosen[option]]
     return [
         Node(
             package="gear_dynamics_ros",

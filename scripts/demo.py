@@ -31,7 +31,8 @@ def main() -> int:
     output: Path = parser.parse_args().output
     bag, stream, figures = output / "recording", output / "gearbox.rrd", output / "figures"
     layouts = tuple(output.glob(f"{stream.stem}.*.rbl"))
-    clear(output, (bag, stream, figures, *layouts))
+    played_report = output / "test_run.html"
+    clear(output, (bag, stream, figures, played_report, *layouts))
     environment = os.environ | {
         "ROS_DOMAIN_ID": str(random.choice(DOMAINS)),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
@@ -45,7 +46,8 @@ def main() -> int:
     overrides = [word for name, value in settings.items() for word in ("-p", f"{name}:={value}")]
     say(f"playing {PROFILE.relative_to(SOURCE)} to the node gearbox: run-up, load step, torque reversal")
     # drive starts first: what the gearbox records before drive has joined is of no use.
-    drive = start("drive", str(PROFILE), "--lockstep", "--wait", "60", environment=environment)
+    options = ("--lockstep", "--wait", "60", "--report", str(played_report))
+    drive = start("drive", str(PROFILE), *options, environment=environment)
     gearbox = start(
         "gearbox", "--ros-args", "--params-file", str(PARAMETERS), *overrides, environment=environment
     )
@@ -64,6 +66,8 @@ def main() -> int:
     print(
         f"\nRecording  {bag}   (replay info {bag}; ros2 bag info {bag}; opens in Foxglove and PlotJuggler)"
         f"\nViewer     {stream}   (rerun {stream})"
+        f"\nTest run   {played_report}   (opens in a browser: the expectations, each with its plot)"
+        f"\nReport     {figures / 'report.html'}   (opens in a browser: checks, condition, energy, figures)"
         f"\nPictures   {figures}   (start with {figures / 'overview.png'})"
         f"\nThe tools are in {Path(sysconfig.get_path('scripts'))}"
     )

@@ -3,24 +3,38 @@
 from __future__ import annotations
 
 import argparse
+import os
+import platform
 import statistics
 import sys
 from collections.abc import Sequence
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
+from gear_dynamics_ros import __version__
 from gear_dynamics_ros.cli.progress import ProgressLine
 from gear_dynamics_ros.cli.ros import add_gearbox, add_lockstep, full_name, needing_ros, split_ros_arguments
 from gear_dynamics_ros.errors import GearboxError
 from gear_dynamics_ros.harness.junit import JunitReport
 from gear_dynamics_ros.harness.player import Player
-from gear_dynamics_ros.harness.profile import load_profile
+from gear_dynamics_ros.harness.profile import Profile, load_profile
 from gear_dynamics_ros.harness.results import format_results
 from gear_dynamics_ros.system.command import FAILURE, SIGNALLED, run_command
 
 if TYPE_CHECKING:
     from gear_dynamics_ros.harness.outcome import ProfileOutcome
+    from gear_dynamics_ros.reporting.drive_report import DriveReport
+
+# What decides how drive and gearbox find and understand each other.
+ROS_VARIABLES: Final = (
+    "ROS_DISTRO",
+    "RMW_IMPLEMENTATION",
+    "ROS_DOMAIN_ID",
+    "ROS_AUTOMATIC_DISCOVERY_RANGE",
+    "ROS_SECURITY_ENABLE",
+)
 
 
 def drive_main(argv: Sequence[str] | None = None) -> int:
@@ -52,36 +66,71 @@ def _parser() -> argparse.ArgumentParser:
         "to command, and let it run on at the end if it ran before",
     )
     parser.add_argument("--junit", type=Path, metavar="FILE", help="write the results to FILE as JUnit XML")
+    parser.add_argument(
+        "--report",
+        type=Path,
+        metavar="FILE",
+        help="write a report to FILE: an HTML page with results, a plot of each window, and the environment",
+    )
     return parser
 
 
 def _drive(arguments: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     profile = load_profile(arguments.profile)
     node = full_name(arguments.node)
-    report = None if arguments.junit is None else JunitReport(arguments.junit, arguments.profile.stem)
+    junit = None if arguments.junit is None else JunitReport(arguments.junit, arguments.profile.stem)
+    report = None if arguments.report is None else _report(arguments, profile, node)
+    if junit is not None:
+        junit.write_unfinished(profile.expectations)
     if report is not None:
-        report.write_unfinished(profile.expectations)
+        report.write_unfinished()
     print(f"playing {arguments.profile} to {node}: {profile.duration:g} s of simulated time", flush=True)
     with ProgressLine() as line:
         watch = _Watch(line)
         outcome: ProfileOutcome = arguments.play(
             profile, node, arguments.wait, arguments.timeout, watch, ros_arguments
         )
-    try:
+    with ExitStack() as writing:
+        writing.callback(_print_outcome, outcome, node)
         if report is not None:
-            report.write(outcome.results, outcome.failure)
-    finally:
-        print(f"{outcome.published} commands published{_lateness(outcome.lateness)}")
-        if outcome.state:
-            print(f"{node} {outcome.state}, as before")
-        if outcome.results:
-            print(format_results(outcome.results), flush=True)
+            writing.callback(report.write, outcome)
+        if junit is not None:
+            junit.write(outcome.results, outcome.failure)
     if outcome.signal:
         print(f"drive: {outcome.failure}", file=sys.stderr)
         return SIGNALLED + outcome.signal
     if outcome.failure:
         raise GearboxError(outcome.failure)
     return _exit_code(outcome)
+
+
+def _print_outcome(outcome: ProfileOutcome, node: str) -> None:
+    print(f"{outcome.published} commands published{_lateness(outcome.lateness)}")
+    if outcome.state:
+        print(f"{node} {outcome.state}, as before")
+    if outcome.results:
+        print(format_results(outcome.results), flush=True)
+
+
+def _report(arguments: argparse.Namespace, profile: Profile, node: str) -> DriveReport:
+    # Imported here, so that a run without a report needs no templates.
+    from gear_dynamics_ros.reporting.drive_report import DriveReport
+    from gear_dynamics_ros.simulation.provenance import processor_name
+
+    lockstep = arguments.play is _play_in_lockstep
+    pace = (
+        "in lockstep: the gearbox was stepped, and each command acted at exactly its sample"
+        if lockstep
+        else "at the pace of the gearbox"
+    )
+    environment = {
+        "drive": f"gear_dynamics_ros {__version__}",
+        "Python": platform.python_version(),
+        "system": platform.platform(),
+        "processor": processor_name(),
+        **{name: os.environ[name] for name in ROS_VARIABLES if name in os.environ},
+    }
+    return DriveReport(arguments.report, profile, arguments.profile, node, pace, environment)
 
 
 def _play_at_own_pace(*arguments: Any) -> ProfileOutcome:

@@ -26,6 +26,7 @@ ROW_HEIGHT: Final = 19.0  # of the texts of marks
 LEGEND_HEIGHT: Final = 20.0  # above a lane with several curves
 GLYPH: Final = 8.4  # width of a letter, about
 MOST_POINTS: Final = 500  # of a curve; of more, minimum and maximum of each interval are drawn
+STRIP: Final = 3.0  # least height of a rectangle
 NEAR: Final = 1.2  # distance of two points of a line of which one is left out
 MARGIN: Final = 0.06  # of a lane's height, above and below its data
 
@@ -69,6 +70,7 @@ class Lane:
     curves: Sequence[Curve] = ()
     bands: Sequence[Band] = ()
     levels: Sequence[Band] = ()  # outlined, their limits kept in view
+    boxes: Sequence[Band] = ()  # outlined, as far as they are in view
     marks: Sequence[Mark] = ()
     names: dict[float, str] = field(default_factory=dict)  # of levels, instead of numbers on the axis
     height: float = LANE_HEIGHT
@@ -138,7 +140,7 @@ class LegendEntry(NamedTuple):
 class Drawing(NamedTuple):
     """Shapes of one lane."""
 
-    label: str
+    label: Sequence[str]  # a line each
     top: float
     height: float
     left: float
@@ -209,7 +211,7 @@ def _draw_lane(lane: Lane, time: Scale, top: float) -> Drawing:
     ]
     grid = [Line(LEFT, value.place(tick), WIDTH - RIGHT, value.place(tick), "#e3e3e3") for tick in places]
     return Drawing(
-        label=f"{lane.label} ({lane.unit})" if lane.unit else lane.label,
+        label=_label_lines(lane, height),
         top=top,
         height=height,
         left=LEFT,
@@ -217,12 +219,20 @@ def _draw_lane(lane: Lane, time: Scale, top: float) -> Drawing:
         grid=grid if has_axis else [],
         ticks=ticks if has_axis else [],
         bands=[_rectangle(band, time, value) for band in lane.bands],
-        levels=[_rectangle(band, time, value) for band in lane.levels],
+        levels=[_rectangle(band, time, value) for band in (*lane.levels, *lane.boxes)],
         curves=[_polygon(curve, time, value) for curve in lane.curves if len(curve.time)],
         legend=_legend(lane.curves, top),
         texts=texts,
         upright=not has_axis,
     )
+
+
+def _label_lines(lane: Lane, height: float) -> list[str]:
+    """Label and unit, in two lines where one is too long."""
+    if not lane.unit:
+        return [lane.label]
+    whole = f"{lane.label} ({lane.unit})"
+    return [whole] if GLYPH * len(whole) <= height else [lane.label, f"({lane.unit})"]
 
 
 def _value_scale(lane: Lane, top: float, bottom: float) -> Scale:
@@ -242,7 +252,9 @@ def _rectangle(band: Band, time: Scale, value: Scale) -> Rectangle:
     left, right = (min(max(time.place(t), time.start), time.end) for t in (band.start, band.end))
     # Scale.place holds infinite levels outside the view; the rectangle is clipped to the lane.
     top, bottom = (min(max(value.place(v), value.end), value.start) for v in (band.high, band.low))
-    return Rectangle(left, top, max(right - left, 1.0), max(bottom - top, 0.0), band.colour, band.label)
+    # What is out of view leaves a strip at the edge.
+    top, height = min(top, value.start - STRIP), max(bottom - top, STRIP)
+    return Rectangle(left, top, max(right - left, 1.0), height, band.colour, band.label)
 
 
 def _polygon(curve: Curve, time: Scale, value: Scale) -> Polygon:

@@ -7,18 +7,15 @@ from datetime import UTC, datetime
 from typing import Any, Final, NamedTuple
 
 from gear_dynamics_ros.analysis.statistics import Envelope
-from gear_dynamics_ros.parameters import Parameters, specifications
-from gear_dynamics_ros.parameters.specification import Value, value_text
 from gear_dynamics_ros.recording import Recording
 from gear_dynamics_ros.reporting.history import MOST_ROWS, command_changes, draw_history, event_rows
-from gear_dynamics_ros.reporting.rendering import quantity, render_page
+from gear_dynamics_ros.reporting.parameter_rows import changed_rows, key_rows, switch_rows
+from gear_dynamics_ros.reporting.rendering import render_page
 from gear_dynamics_ros.reporting.sankey import Sankey, draw_sankey
 from gear_dynamics_ros.reporting.windows import ASKED, LAST, STEADY, AnalysisWindow
 
 TEMPLATE: Final = "recording.html.j2"
 RUN: Final = 0  # instead of the number of a window: the whole run
-SWITCHES: Final = ("model", "mesh_geometry", "mesh_damping", "restitution_law", "mesh_phase")
-KEY_GROUPS: Final = ("gears", "mesh", "surface", "bearings", "oil", "operation", "solver")
 KINDS: Final = {
     STEADY: "steady: no change of commands in it or shortly before it",
     ASKED: "as asked for with --from and --to",
@@ -89,15 +86,6 @@ class EmbeddedFigure(NamedTuple):
     png: bytes
 
 
-class ParameterRow(NamedTuple):
-    """One parameter: its value, and the default if that is another."""
-
-    name: str
-    value: str
-    unit: str
-    default: str  # empty if it has this value
-
-
 class EnergyRow(NamedTuple):
     """One energy of one side of the balance, J."""
 
@@ -126,11 +114,9 @@ def recording_page(
             "summary": content,
             "began": _began(recording),
             "provenance": recording.run.provenance,
-            "switches": [row for row in _rows(recording.parameters) if row.name in SWITCHES],
-            "changed": [row for row in _rows(recording.parameters) if row.default],
-            "parameters": [
-                row for row in _rows(recording.parameters) if row.name.split(".")[0] in KEY_GROUPS
-            ],
+            "switches": switch_rows(recording.parameters),
+            "changed": changed_rows(recording.parameters),
+            "parameters": key_rows(recording.parameters),
             "history": draw_history(recording, envelope, windows),
             "changes": changes[:MOST_ROWS],
             "changes_left": len(changes[MOST_ROWS:]),
@@ -178,23 +164,6 @@ def _began(recording: Recording) -> str:
     if not recording.epoch_ns:
         return ""
     return f"{datetime.fromtimestamp(recording.epoch_ns / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC"
-
-
-def _rows(parameters: Parameters) -> list[ParameterRow]:
-    rows = []
-    for name, value in parameters.to_flat().items():
-        row = specifications()[name]
-        text, unit = _value(value, row.unit)
-        default = "" if value == row.default else " ".join(_value(row.default, row.unit)).rstrip()
-        rows.append(ParameterRow(name, text, unit, default))
-    return rows
-
-
-def _value(value: Value, unit: str) -> tuple[str, str]:
-    """Text and unit of a value."""
-    if isinstance(value, float):
-        return quantity(value, unit, 6)
-    return (value_text(value) if not isinstance(value, str) else value or '""'), unit
 
 
 def _energy_sides(flow: Mapping[str, Any] | None) -> Mapping[str, Sequence[EnergyRow]] | None:

@@ -49,12 +49,17 @@ def quantity(value: float, unit: str = "", digits: int = DIGITS) -> NumberText:
     """``value`` with ``digits`` significant digits and, where the unit takes one, a prefix."""
     if isinstance(value, int) or not math.isfinite(value):
         return NumberText(f"{value}", unit)
-    factor, prefix = 1.0, ""
-    if unit in _PREFIXED and value:
-        # Rounded first: 999.96 with four digits is 1000, so 1 k.
-        size = float(f"{abs(value):.{digits - 1}e}")
-        factor, prefix = next((row for row in _PREFIXES if size >= row[0]), _PREFIXES[-1])
-    return NumberText(_plain(value / factor, digits), prefix + unit)
+    # Rounded first: 999.96 with four digits is 1000, so 1 k.
+    factor, shown = axis_unit(float(f"{abs(value):.{digits - 1}e}"), unit)
+    return NumberText(_plain(value * factor, digits), shown)
+
+
+def axis_unit(size: float, unit: str) -> tuple[float, str]:
+    """Factor and unit, with a prefix if it takes one, to show values up to ``size`` (> 0) in ``unit``."""
+    if unit not in _PREFIXED or not size:
+        return 1.0, unit
+    scale, prefix = next((row for row in _PREFIXES if size >= row[0]), _PREFIXES[-1])
+    return 1.0 / scale, prefix + unit
 
 
 def _plain(value: float, digits: int) -> str:

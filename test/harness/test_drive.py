@@ -19,7 +19,9 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from gear_dynamics_ros import recording
+from gear_dynamics_ros.physics.kernel.sources import kernel_hash
 from support.gearbox import Client, Peer, shared_gearbox, start_gearbox
+from support.pages import parse_page
 from support.paths import CONFIG
 from support.processes import Process, StartProcess, until
 
@@ -142,8 +144,9 @@ def test_commands_take_effect_at_their_time_and_expectations_hold(
 def test_a_failed_expectation_is_named_with_its_numbers(
     gearbox: Process, process: StartProcess, profile: Path
 ) -> None:
-    report = profile.with_suffix(".xml")
-    run = drive(process, profile, IMPOSSIBLE, "--wait", "60", "--junit", str(report))
+    report, page = profile.with_suffix(".xml"), profile.with_suffix(".html")
+    files = ("--junit", str(report), "--report", str(page))
+    run = drive(process, profile, IMPOSSIBLE, "--wait", "60", *files)
     assert run.wait() == 1, run.output
     assert "1 of 2 expectations passed" in run.stdout
     assert run.stderr.splitlines() == [
@@ -153,6 +156,11 @@ def test_a_failed_expectation_is_named_with_its_numbers(
 
     (suite,) = ElementTree.parse(report).getroot()
     assert [[child.tag for child in case] for case in suite] == [["failure"], []]
+    told = parse_page(page.read_text(encoding="utf-8"))
+    assert told.one(class_="verdict bad").text == "FAILED: 1 of 2 expectations do not hold."
+    assert "is 20 N m, expected >= 1000 N m" in told.one("figure", id="window-1").text
+    assert len(list(told.one("figure", id="window-2").all("svg"))) == 1
+    assert kernel_hash() in told.text
 
 
 def test_a_recorded_command_is_replayed(gearbox: Process, process: StartProcess, profile: Path) -> None:
@@ -207,8 +215,9 @@ def test_parameters_of_which_one_is_refused_are_not_set(
 def test_an_interrupted_run_tells_how_far_it_came(
     gearbox: Process, process: StartProcess, profile: Path, number: signal.Signals
 ) -> None:
-    report = profile.with_suffix(".xml")
-    run = drive(process, profile, LONG, "--wait", "60", "--junit", str(report))
+    report, page = profile.with_suffix(".xml"), profile.with_suffix(".html")
+    files = ("--junit", str(report), "--report", str(page))
+    run = drive(process, profile, LONG, "--wait", "60", *files)
     run.wait_for("joined")
     run.signal_group(number)
     assert run.wait() == 128 + number, run.output
@@ -218,13 +227,18 @@ def test_an_interrupted_run_tells_how_far_it_came(
     assert "\nopen  never reached  " in run.stdout
     (suite,) = ElementTree.parse(report).getroot()
     assert [[child.tag for child in case] for case in suite] == [["skipped"], ["error"]]
+    told = parse_page(page.read_text(encoding="utf-8")).one(class_="verdict bad").text
+    assert told.startswith(f"INTERRUPTED: interrupted by {number.name} at ")
 
 
 def test_an_absent_gearbox_is_told_within_the_wait(
     ros_domain: int, process: StartProcess, profile: Path
 ) -> None:
-    run = drive(process, profile, LONG, "--node", "nobody", "--wait", "0.5")
+    page = profile.with_suffix(".html")
+    run = drive(process, profile, LONG, "--node", "nobody", "--wait", "0.5", "--report", str(page))
     assert run.wait() == 1
+    told = parse_page(page.read_text(encoding="utf-8"))
+    assert told.one(class_="verdict bad").text.startswith("BROKE OFF: no gearbox /nobody was seen for 0.5 s")
     (line,) = run.stderr.splitlines()
     assert line.startswith("drive: error: no gearbox /nobody was seen for 0.5 s: start it")
 
@@ -429,8 +443,12 @@ def test_an_interrupted_lockstep_leaves_the_gearbox_as_it_was(
 def test_in_lockstep_a_failed_expectation_and_a_refused_command_are_told(
     gearbox: Process, process: StartProcess, profile: Path
 ) -> None:
-    run = drive(process, profile, IMPOSSIBLE, "--lockstep", "--wait", "60")
+    page = profile.with_suffix(".html")
+    run = drive(process, profile, IMPOSSIBLE, "--lockstep", "--wait", "60", "--report", str(page))
     assert run.wait() == 1, run.output
+    told = parse_page(page.read_text(encoding="utf-8"))
+    assert "each command acted at exactly its sample" in told.text
+    assert len(list(told.one("figure", id="window-2").all("svg"))) == 1
     assert "drive: failed: impossible torque: largest of load_torque in 0.15 to 0.25 s is 20" in run.stderr
     run = drive(process, profile, REFUSED, "--lockstep", "--timeout", "1")
     assert run.wait() == 1, run.output

@@ -36,7 +36,8 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
         "analysis",
         "viewer",
     },
-    "reporting": {"contract", "system", "parameters", "physics", "recording", "analysis"},
+    "harness": {"contract", "system", "parameters"},
+    "reporting": {"contract", "system", "parameters", "physics", "recording", "analysis", "harness"},
     "sweeps": {"contract", "system", "parameters", "physics", "simulation", "analysis"},
     "identification": {"contract", "system", "parameters", "simulation", "recording", "sweeps"},
     "paper": {
@@ -49,7 +50,6 @@ MAY_IMPORT: Final[dict[str, set[str]]] = {
         "sweeps",
         "identification",
     },
-    "harness": {"contract", "system", "parameters"},
     "ros": {
         "contract",
         "system",
