@@ -116,7 +116,7 @@ def recorded_blocks(recording: Recording, first: int, end: int) -> Iterator[RunB
 
     One block at a time is in memory.
     """
-    from gear_dynamics_ros.viewer.run_block import RunBlock
+    from gear_dynamics_ros.viewer.run_block import RunBlock, joined
 
     size = max(1, round(BLOCK_SPAN / recording.parameters.solver.sample_interval))
     energies, impacts = _Reader(recording, "energy"), _Reader(recording, "impacts")
@@ -126,7 +126,7 @@ def recorded_blocks(recording: Recording, first: int, end: int) -> Iterator[RunB
         latest = energies.until(begin, stop)[-1:]
         yield RunBlock(
             begin,
-            samples.values,
+            joined([samples.values]),
             _commands(recording, begin, stop),
             [(sample, rows[-1]) for sample, rows in latest],
             np.concatenate(ended) if ended else np.empty((0, len(IMPACTS))),

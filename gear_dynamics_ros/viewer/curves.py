@@ -131,6 +131,6 @@ RESIDUAL_STYLE: Final = CurveStyle(ENERGY_RESIDUAL, "residual: stored + lost - w
 
 
 def _magnitude(rows: Values, columns: list[list[int]]) -> Values:
-    x, y = (sum((rows[:, column] for column in parts), start=np.zeros(len(rows))) for parts in columns)
+    x, y = (rows[:, first] if not rest else rows[:, first] + rows[:, rest[0]] for first, *rest in columns)
     # np.hypot, which can't overflow, takes several times as long.
     return np.asarray(np.sqrt(x * x + y * y))

@@ -38,6 +38,9 @@ def order_amplitudes(rows: Values) -> OrderAmplitudes | None:
     DTE is taken at equal steps of the mesh phase, so that lines stay sharp while the speed changes. Orders
     beyond half the samples of a mesh period are left out.
     """
+    wraps = np.flatnonzero(np.abs(np.diff(rows[:, COLUMN["mesh_phase"]])) > np.pi)
+    if len(wraps) > MOST_PERIODS + 1:
+        rows = rows[wraps[-MOST_PERIODS - 2] :]
     turns = np.abs(np.unwrap(rows[:, COLUMN["mesh_phase"]])) / (2.0 * np.pi)
     steps = np.diff(turns)
     if len(rows) < 2 or not (steps > 0.0).all():

@@ -56,8 +56,12 @@ class PhasePortrait:
 
     def add(self, rows: Values) -> None:
         """Take in contiguous samples (n, 28): their Poincaré points show in the next picture."""
-        if len(rows) < 4:
+        wraps = np.flatnonzero(np.abs(np.diff(rows[:, COLUMN["mesh_phase"]])) > np.pi)
+        if not len(wraps):
             return
+        # Two samples on either side of the first point that is kept.
+        begin = max(0, int(wraps[-POINTS_KEPT:][0]) - 2)
+        rows = rows[begin:]
         points = poincare_points(rows[:, COLUMN["mesh_phase"]], rows[:, [COLUMN["dte"], COLUMN["dte_rate"]]])
         self._section = np.concatenate([self._section, self._normalised(points)])[-POINTS_KEPT:]
 

@@ -19,10 +19,23 @@ class RunBlock(NamedTuple):
     """Contiguous samples of a run; SI units."""
 
     first_sample: int
-    rows: Values  # (n, 28), n > 0, columns CHANNELS
+    rows: Values  # (n, 28), n > 0, columns CHANNELS; best as ``joined`` makes them
     commands: Sequence[tuple[int, Commands]] = ()  # in force from a sample on, in order
     energies: Sequence[tuple[int, Values]] = ()  # ENERGIES (9,) after a sample, in order
     impacts: Values = NO_IMPACTS  # (k, 6), columns IMPACTS, contacts that ended
+
+
+def joined(parts: Sequence[Values]) -> Values:
+    """The first 28 columns of ``parts`` (n, 28 or more) in one array, each column contiguous in memory.
+
+    Curves take one column of many samples: along a row of 28 that takes several times as long.
+    """
+    columns = np.empty((len(CHANNELS), sum(len(part) for part in parts)))
+    begin = 0
+    for part in parts:
+        columns[:, begin : begin + len(part)] = part[:, : len(CHANNELS)].T
+        begin += len(part)
+    return columns.T
 
 
 def blocks_of(chunks: Sequence[Chunk]) -> Iterator[RunBlock]:
@@ -39,7 +52,7 @@ def blocks_of(chunks: Sequence[Chunk]) -> Iterator[RunBlock]:
         last = run[-1]
         yield RunBlock(
             run[0].first_sample,
-            np.concatenate([chunk.samples[:, : len(CHANNELS)] for chunk in run]),
+            joined([chunk.samples for chunk in run]),
             [(chunk.first_sample, chunk.commands) for chunk in run],
             [(last.first_sample + len(last) - 1, last.energies)],
             np.concatenate([chunk.impacts for chunk in run]),

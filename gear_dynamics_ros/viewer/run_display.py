@@ -34,9 +34,9 @@ from gear_dynamics_ros.viewer.slow_scene import SlowScene
 from gear_dynamics_ros.viewer.thinning import Density, strobe_indices
 
 POINT_INTERVAL: Final = 4.0e-3  # s of simulated time
-FRAMES_PER_SECOND: Final = 20.0
+FRAMES_PER_SECOND: Final = 10.0
 STROBE_REACH: Final = 0.01  # s before a frame in which its sample is searched
-STROBE_SPEED: Final = 0.4  # teeth per simulated second that seem to pass
+STROBE_SPEED: Final = 0.25  # teeth per simulated second that seem to pass
 PICTURE_INTERVAL: Final = 0.1  # s
 PICTURE_SPAN: Final = 0.005  # s
 SPECTRUM_INTERVAL: Final = 0.5  # s

@@ -119,7 +119,7 @@ def test_gears_have_their_teeth_and_turn_with_the_channels_angle(saved: Path, sa
         assert np.count_nonzero(np.diff(outside.astype(int)) == 1) == 40
     found = rows_of(saved, "/scene/driving", "Transform3D:quaternion", "sim_time")
     at = indices(found.times_ns)
-    assert len(at) >= 6
+    assert len(at) >= 4
     quaternion = np.array(found.values)[:, 0]
     # Rerun's y axis points down, so counter-clockwise is negative there.
     angle = -2.0 * np.arctan2(quaternion[:, 2], quaternion[:, 3])
