@@ -10,6 +10,7 @@ from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
+import after_run
 import earlier
 import general_solvers
 import latency
@@ -28,10 +29,12 @@ REAL_TIME_AIMED_AT = {"traditional": 5.0, "compared": 5.0, "improved": 3.0}
 RATIO_AIMED_AT = 1.2
 SOLVER_REPEATS = 3
 RECORDINGS = "Recordings: writing, reading, verifying"
+AFTER_RUN = "Reports and views of a recording"
 SCHEDULING = "Real-time scheduling"
 SWEEPS = "Sweeps"
 PAGES = {
     RECORDINGS: "recording.md",
+    AFTER_RUN: "report.md",
     SCHEDULING: "real_time.md",
     SWEEPS: "sweeps.md",
 }  # pages that show a section
@@ -136,6 +139,11 @@ def sections(before: str) -> list[Section]:
             lambda: speed.recording(tuple(REAL_TIME_AIMED_AT)),
         ),
         Section(RECORDINGS, "Model improved, gearbox.yaml, unless said otherwise.", recordings.tables),
+        Section(
+            AFTER_RUN,
+            "Made by `simulate` with gearbox.yaml, all topics; each command is a process of its own.",
+            after_run.tables,
+        ),
         Section(
             SWEEPS,
             f"config/paper.yaml, {sweep_speed.SPEEDS} speeds from 2000 to 18000 rpm, 4000 mesh periods in "

@@ -8,8 +8,6 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from PIL import Image
-
 from gear_dynamics_ros.analysis.figure_data import FigureData
 from gear_dynamics_ros.analysis.meshing import MeshingTimeline
 from gear_dynamics_ros.analysis.run_up import RUN_UP_CHANNELS, SpeedSpectra, find_run_up
@@ -147,13 +145,14 @@ def _draw(
 
     jobs = _jobs(analysis)
     for count, job in enumerate(jobs, start=1):
-        figure, picture = job.draw(), io.BytesIO()
-        figures.write_png(figure, picture)
-        _write(folder / f"{job.stem}.png", picture.getvalue())
+        figure, drawn = job.draw(), io.BytesIO()
+        figures.write_png(figure, drawn)
+        picture = drawn.getvalue()
+        _write(folder / f"{job.stem}.png", picture)
         with output_file(folder / f"{job.stem}.svg") as stream:
             figures.write_svg(figure, stream)
         yield EmbeddedFigure(
-            job.name, job.window, f"{job.stem}.png", figures.CAPTIONS[job.name], _smaller(picture)
+            job.name, job.window, f"{job.stem}.png", figures.CAPTIONS[job.name], figures.small_png(picture)
         )
         progress(count, len(jobs))
 
@@ -176,14 +175,6 @@ def _jobs(analysis: RecordingAnalysis) -> list[FigureJob]:
             elif last:
                 of_run.append(FigureJob(name, RUN, name, draw))
     return [*of_run, *of_windows]
-
-
-def _smaller(picture: io.BytesIO) -> bytes:
-    """The PNG file ``picture`` in 128 colours: a third of its size."""
-    with io.BytesIO() as small:
-        drawn = Image.open(picture).convert("RGB")
-        drawn.quantize(colors=128, dither=Image.Dither.NONE).save(small, format="PNG", optimize=True)
-        return small.getvalue()
 
 
 def _name_figures(content: dict[str, Any], drawn: Sequence[EmbeddedFigure]) -> None:

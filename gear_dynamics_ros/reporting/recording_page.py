@@ -15,6 +15,7 @@ from gear_dynamics_ros.reporting.sankey import Sankey, draw_sankey
 from gear_dynamics_ros.reporting.windows import ASKED, LAST, STEADY, AnalysisWindow
 
 TEMPLATE: Final = "recording.html.j2"
+TALL: Final = ("orbits",)  # figures that fill a page alone: last, so that the others share pages
 RUN: Final = 0  # instead of the number of a window: the whole run
 KINDS: Final = {
     STEADY: "steady: no change of commands in it or shortly before it",
@@ -130,7 +131,7 @@ def recording_page(
                 gear: getattr(recording.parameters.bearings, gear).restitution
                 for gear in ("driving", "driven")
             },
-            "figures": figures,
+            "figures": sorted(figures, key=lambda figure: (figure.window, figure.name in TALL)),
             "left_out": left_out,
             "run_number": RUN,
         },

@@ -153,6 +153,16 @@ def test_shared_files_are_found(installed: Installation) -> None:
     assert done.stdout.splitlines() == [str(share / name) for name in SHARED], done.stderr
 
 
+def test_templates_of_reports_are_found(installed: Installation) -> None:
+    code = (
+        f"from {PACKAGE}.reporting import rendering; "
+        "print(*sorted(rendering._environment().list_templates()))"
+    )
+    done = installed.run(sys.executable, "-c", code)
+    shipped = sorted(path.name for path in (ROOT / PACKAGE / "reporting/templates").iterdir())
+    assert done.stdout.split() == shipped, done.stderr
+
+
 def test_shared_file_of_a_checkout() -> None:
     assert share.share_file("config/gearbox.yaml") == ROOT / "config/gearbox.yaml"
 

@@ -10,7 +10,7 @@ from gear_dynamics_ros.analysis.figures.catalogue import (
     recording_figures,
 )
 from gear_dynamics_ros.analysis.figures.divergence import Overlay, divergence_figure
-from gear_dynamics_ros.analysis.figures.style import write_png, write_small_png, write_svg
+from gear_dynamics_ros.analysis.figures.style import small_png, write_png, write_small_png, write_svg
 
 __all__ = [
     "CAPTIONS",
@@ -20,6 +20,7 @@ __all__ = [
     "divergence_figure",
     "lacking_figures",
     "recording_figures",
+    "small_png",
     "write_png",
     "write_small_png",
     "write_svg",

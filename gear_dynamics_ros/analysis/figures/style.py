@@ -106,6 +106,12 @@ def write_small_png(figure: Figure, stream: BinaryIO) -> None:
     """As ``write_png``, in 128 colours: a third of the size, for pictures that documents show."""
     with io.BytesIO() as drawn:
         write_png(figure, drawn)
-        picture = Image.open(drawn).convert("RGB")
-    small = picture.quantize(colors=128, dither=Image.Dither.NONE)
-    small.save(stream, format="PNG", optimize=True)
+        stream.write(small_png(drawn.getvalue()))
+
+
+def small_png(picture: bytes) -> bytes:
+    """The PNG file ``picture`` in 128 colours."""
+    with io.BytesIO(picture) as drawn, io.BytesIO() as small:
+        fewer = Image.open(drawn).convert("RGB").quantize(colors=128, dither=Image.Dither.NONE)
+        fewer.save(small, format="PNG", optimize=True)
+        return small.getvalue()
