@@ -102,8 +102,8 @@ def rerun_window(scratch: Path, size: tuple[int, int] = (1600, 900)) -> Iterator
     with processes() as start:
 
         def send(file: Path) -> None:
-            # Rerun hands a file to the viewer that has the port already. Of several files in one command, it is
-            # not certain which layout is shown in the end.
+            # Rerun hands a file to the viewer that has the port already. With several files in one command,
+            # either layout may be shown in the end.
             sender = start("rerun", file, "--port", port, **home)
             assert sender.wait(120.0) == 0, sender.output
 
