@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,9 +29,7 @@ BRIGHT = 150  # of 255, from which on a pixel on the dark ground is a letter
 
 def without_viewer() -> str:
     """Why no picture of the viewer can be taken here; empty if one can."""
-    try:
-        from rerun.experimental import ViewerClient  # noqa: F401
-    except ImportError:
+    if find_spec("rerun") is None:
         return "Rerun is not installed"
     if "VK_ICD_FILENAMES" in os.environ or any(
         folder.glob("*.json") for folder in DRIVERS if folder.is_dir()
@@ -52,10 +51,16 @@ class ShownView(NamedTuple):
 
 
 class RerunWindow:
-    """A viewer that runs, by its client."""
+    """A viewer that runs, by its client; ``send`` sends a file to it and waits until it is sent."""
 
-    def __init__(self, client: Any) -> None:
+    def __init__(self, client: Any, send: Callable[[Path], None]) -> None:
         self._client = client
+        self._send = send
+
+    def show(self, file: Path, view: str) -> None:
+        """Show a recording, or a layout of the one shown, and wait for its view with the name ``view``."""
+        self._send(file)
+        until(lambda: view in {shown.name for shown in self.views()}, f"{file.name} shows {view}")
 
     def views(self) -> list[ShownView]:
         return [
@@ -87,22 +92,28 @@ class RerunWindow:
 
 
 @contextmanager
-def rerun_window(scratch: Path, *files: Path, size: tuple[int, int] = (1600, 900)) -> Iterator[RerunWindow]:
-    """A viewer that shows a recording and after it, if given, a layout; ``scratch`` is its home."""
+def rerun_window(scratch: Path, size: tuple[int, int] = (1600, 900)) -> Iterator[RerunWindow]:
+    """An empty viewer that listens on the loopback interface only; ``scratch`` is its home."""
     from rerun.experimental import ViewerClient
 
     port = free_port()
+    # The home has no consent to analytics, and an application's viewer doesn't ask for it.
+    home = {"XDG_CONFIG_HOME": str(scratch), "XDG_DATA_HOME": str(scratch), "RERUN_APP_ONLY": "true"}
     with processes() as start:
+
+        def send(file: Path) -> None:
+            # Rerun hands a file to the viewer that has the port already. With several files in one command,
+            # either layout may be shown in the end.
+            sender = start("rerun", file, "--port", port, **home)
+            assert sender.wait(120.0) == 0, sender.output
+
         viewer = start(
             *("rerun", "--headless", "--bind", "127.0.0.1", "--port", port),
-            *("--window-size", "{}x{}".format(*size), *files),
-            # The home has no consent to analytics, and an application's viewer doesn't ask for it.
-            **{"XDG_CONFIG_HOME": str(scratch), "XDG_DATA_HOME": str(scratch), "RERUN_APP_ONLY": "true"},
+            *("--window-size", "{}x{}".format(*size)),
+            **home,
         )
         viewer.wait_for("Headless viewer running", timeout=120.0)
-        window = RerunWindow(ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy"))
-        until(window.views, "the viewer shows the layout")
-        yield window
+        yield RerunWindow(ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy"), send)
 
 
 def shown_share(view: ShownView, picture: Picture) -> float:
