@@ -80,21 +80,18 @@ class CurvePlots:
         names = [STATE_NAMES.get(state, "apart") for state in states[began].tolist()]
         self._canvas.states(MESHING, Times(times.timeline, times.ns[began]), names)
 
-    def draw_commands(self, commands: Sequence[tuple[int, Commands]], end_sample: int) -> None:
-        """Draw ``commands``, each in force from its sample on, and extend the last to ``end_sample``."""
-        samples: list[int] = []
-        values: list[Commands] = []
+    def draw_commands(self, commands: Sequence[tuple[int, Commands]]) -> None:
+        """Draw ``commands``, each in force from its sample on, where they change."""
         for sample, command in commands:
             if command != self._commands:
-                samples.append(sample)
-                values.append(command)
                 self._commands = command
+                self.extend_commands(sample)
+
+    def extend_commands(self, sample: int) -> None:
+        """Draw the commands in force up to ``sample``."""
         if self._commands is not None:
-            samples.append(end_sample)
-            values.append(self._commands)
-        for name, style in curves.COMMAND_STYLES.items():
-            series = np.array([getattr(command, name) for command in values])
-            self._canvas.scalars(style.entity, self._at(samples), series)
+            for style, value in zip(curves.COMMAND_STYLES.values(), self._commands, strict=True):
+                self._canvas.scalars(style.entity, self._at([sample]), np.array([value]))
 
     def draw_impacts(self, impacts: Values, spacing: float) -> None:
         """Draw the closing speed of ``impacts`` (k, 6) of IMPACTS: the fastest of each ``spacing`` s."""

@@ -99,7 +99,7 @@ def sample_curves() -> list[SampleCurve]:
     ]
 
 
-COMMAND_STYLES: Final = {
+COMMAND_STYLES: Final = {  # by field of Commands, in their order
     "drive_torque": CurveStyle(f"{COMMAND}/drive_torque", "drive_torque commanded (N m)", palette.BLUE, 2.5),
     "load_torque": CurveStyle(f"{COMMAND}/load_torque", "load_torque commanded (N m)", palette.YELLOW, 2.5),
     "speed": CurveStyle(f"{COMMAND}/speed", "speed commanded (rad/s)", palette.YELLOW, 2.5),

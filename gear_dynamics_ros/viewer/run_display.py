@@ -9,6 +9,7 @@ sample by sample, on a slow timeline. ``viewer.thinning.Density`` bounds the gro
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -40,6 +41,7 @@ STROBE_SPEED: Final = 0.25  # teeth per simulated second that seem to pass
 PICTURE_INTERVAL: Final = 0.1  # s
 PICTURE_SPAN: Final = 0.005  # s
 SPECTRUM_INTERVAL: Final = 0.5  # s
+SLOW_INTERVAL: Final = 2.0  # s between points of energies, and of commands that stay
 ALARMS: Final = frozenset({TIMEOUT, RESET, RESTORE})  # events that need attention
 RUN_IN_PROGRESS: Final = "# The run\n\nIts figures appear here when it has ended."
 TURN: Final = 2.0 * math.pi
@@ -68,6 +70,8 @@ class RunDisplay:
         self._slow = SlowScene(self.canvas, self._scene, self._orbits, self._portrait, self._curves)
         self._teeth = (parameters.gears.driving.teeth, parameters.gears.driven.teeth)
         self._first: int | None = None  # the first sample drawn
+        self._energies: Sequence[tuple[int, Values]] = ()  # the last ones
+        self._end: int | None = None  # the sample behind the last drawn
         self._revolutions = 0.0
         self._last_angle = 0.0
 
@@ -95,10 +99,13 @@ class RunDisplay:
             self._first = block.first_sample
         revolutions = self._count_revolutions(block.rows)
         factor = self._density.spacing((block.first_sample - self._first) * self._interval)
-        end = block.first_sample + len(block.rows)
+        end = self._end = block.first_sample + len(block.rows)
         self._curves.draw(block.first_sample, block.rows, factor * self._samples(POINT_INTERVAL))
-        self._curves.draw_commands(block.commands, end - 1)
-        self._curves.draw_energies(block.energies)
+        self._curves.draw_commands(block.commands)
+        if len(self._due(block, SLOW_INTERVAL, factor)):
+            self._curves.extend_commands(end - 1)
+            self._curves.draw_energies(block.energies)
+        self._energies = block.energies[-1:]
         self._curves.draw_impacts(block.impacts, factor * POINT_INTERVAL)
         self._summary.add(block.first_sample, block.rows)
         self._summary.add_commands(block.commands)
@@ -127,6 +134,9 @@ class RunDisplay:
 
     def finish(self) -> None:
         """Draw what only the end of a run decides."""
+        if self._end is not None:
+            self._curves.extend_commands(self._end - 1)
+            self._curves.draw_energies(self._energies)
         window = self._chooser.last()
         if window is not None:
             self._slow.draw(window, self._interval_ns)

@@ -84,12 +84,16 @@ class SlowMotionChooser:
             self._pending = None
             self._blocks.clear()
         self._blocks.append((first_sample, rows))
-        if self._pending is None:
-            self._pending = self._find(first_sample, rows)
-        done = []
-        if self._pending is not None and self._pending.end <= self._end:
+        done: list[SlowWindow] = []
+        since = max(first_sample, self._settled)
+        while True:
+            if self._pending is None:
+                self._pending = self._find(since)
+            if self._pending is None or self._pending.end > self._end:
+                break
             done.append(self._cut(self._pending))
-            self._best, self._pending = self._pending.subject, None
+            self._best = done[-1].subject
+            since, self._pending = self._pending.end, None
         self._forget()
         return done
 
@@ -109,22 +113,24 @@ class SlowMotionChooser:
     def _end(self) -> int:
         return self._blocks[-1][0] + len(self._blocks[-1][1]) if self._blocks else 0
 
-    def _find(self, first_sample: int, rows: Values) -> _Pending | None:
-        """The first event in new samples that shows more than any window so far."""
+    def _find(self, since: int) -> _Pending | None:
+        """The first event in the newest block, from sample ``since`` on, that shows more than any so far."""
+        first_sample, rows = self._blocks[-1]
         previous = self._blocks[-2][1][-1:] if len(self._blocks) > 1 else rows[:1]
         shows = {Subject.BACK_STRUCK: back_struck, Subject.CONTACT_LOST: contact_lost}
+        found: list[tuple[int, Subject]] = []
         for subject, test in shows.items():
-            if subject <= self._best:
-                return None
-            shown = test(rows)
-            began = np.flatnonzero(shown & ~np.concatenate([test(previous), shown[:-1]]))
-            began = began[began + first_sample >= (self._settled or 0)]
-            if len(began):
-                at = int(began[0])
-                before, after = self._reach(rows[at])
-                sample = first_sample + at
-                return _Pending(subject, max(self._begin, sample - before), sample + after)
-        return None
+            if subject > self._best:
+                shown = test(rows)
+                began = np.flatnonzero(shown & ~np.concatenate([test(previous), shown[:-1]]))
+                began = began[began + first_sample >= since]
+                found += [(int(index), subject) for index in began[:1]]
+        if not found:
+            return None
+        at, subject = min(found, key=lambda event: event[0])
+        before, after = self._reach(rows[at])
+        sample = first_sample + at
+        return _Pending(subject, max(self._begin, sample - before), sample + after)
 
     def _reach(self, row: Values) -> tuple[int, int]:
         """Samples of a window before and from an event at the sample ``row`` (28,)."""
@@ -140,7 +146,8 @@ class SlowMotionChooser:
         window = np.concatenate(parts)
         frequency = self._mesh_frequency(window[len(window) // 2])
         factor = round_down(frequency * PERIOD_SHOWN) if frequency > 1.0 else DEFAULT_FACTOR
-        return SlowWindow(pending.subject, pending.begin, window, min(factor, GREATEST_FACTOR))
+        subject = Subject.BACK_STRUCK if back_struck(window).any() else pending.subject
+        return SlowWindow(subject, pending.begin, window, min(factor, GREATEST_FACTOR))
 
     def _forget(self) -> None:
         needed = self._end - self._most

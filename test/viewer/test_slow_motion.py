@@ -55,15 +55,27 @@ def test_the_first_clear_loss_of_contact_after_the_start(sizes: int) -> None:
     assert window.factor == 1000.0  # a mesh period takes a second
 
 
-def test_back_flanks_that_strike_are_shown_too_once() -> None:
+@pytest.mark.parametrize("sizes", [200, 2_500, LENGTH])
+def test_back_flanks_that_strike_are_shown_too_once(sizes: int) -> None:
     rows = steady()
     part(rows, 8_000, 50, 0.0, 0.0)
     for begin in (15_000, 25_000):
         part(rows, begin, 20, -1.0, -1.1 * HALF_BACKLASH)
-    found, last = windows(rows)
+    found, last = windows(rows, sizes)
     assert [window.subject for window in found] == [Subject.CONTACT_LOST, Subject.BACK_STRUCK]
     assert found[1].first_sample == 15_000 - 150
     assert last is None
+
+
+@pytest.mark.parametrize("sizes", [200, LENGTH])
+def test_one_window_that_shows_all_is_enough(sizes: int) -> None:
+    rows = steady()
+    part(rows, 8_000, 50, 0.0, 0.0)
+    part(rows, 8_050, 20, -1.0, -1.1 * HALF_BACKLASH)
+    part(rows, 20_000, 20, -1.0, -1.1 * HALF_BACKLASH)
+    (window,), _ = windows(rows, sizes)
+    assert window.subject is Subject.BACK_STRUCK
+    assert window.first_sample == 8_000 - 150
 
 
 def test_a_run_that_keeps_contact_shows_its_end() -> None:
