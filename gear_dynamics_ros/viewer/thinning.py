@@ -44,7 +44,8 @@ def strobe_indices(
 class Density:
     """How far apart the drawn points of a long run are: each time it has doubled, twice as far.
 
-    So a run of twice the length takes one share more, and no peak is lost: wider blocks keep their extremes.
+    So each doubling takes half of what the time at full density takes, and no peak is lost: wider blocks keep
+    their extremes.
     """
 
     def __init__(self, full_span: float) -> None:

@@ -234,7 +234,7 @@ def test_a_strobe_shows_the_phase_it_is_set_to_or_slow_motion_as_it_is() -> None
     assert strobe_indices(slow, ends, targets, 100).tolist() == [299, 599, 899]
 
 
-def test_a_run_of_twice_the_length_takes_one_share_more() -> None:
+def test_points_are_further_apart_each_time_a_run_has_doubled() -> None:
     density = Density(60.0)
     assert [density.spacing(time) for time in (0.0, 59.9, 60.0, 119.0, 120.0, 3600.0)] == [1, 1, 2, 2, 4, 64]
     assert Density(float("inf")).spacing(1e9) == 1
