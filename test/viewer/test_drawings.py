@@ -239,22 +239,22 @@ def test_spectrum_of_dte_has_its_line_at_the_mesh_frequency() -> None:
 
 
 def test_each_doubling_of_a_run_takes_half_of_its_begin(chunks: list[Chunk], tmp_path: Path) -> None:
-    """Frames and points of a run drawn at full density for its first 40 ms."""
+    """Frames and points of a run drawn at full density for its first 64 ms."""
     from gear_dynamics_ros.viewer.run_block import blocks_of
     from gear_dynamics_ros.viewer.run_display import RunDisplay
     from gear_dynamics_ros.viewer.thinning import Density
 
     stream = rerun.RecordingStream("gear_dynamics_ros")
     stream.set_sinks(rerun.FileSink(tmp_path / "long.rrd"))
-    display = RunDisplay(stream, Parameters.from_flat(RATTLE), Density(0.04))
-    for begin in range(0, 80, 10):
-        for block in blocks_of(chunks[begin : begin + 10]):
+    display = RunDisplay(stream, Parameters.from_flat(RATTLE), Density(0.064))
+    for begin in range(0, 128, 16):
+        for block in blocks_of(chunks[begin : begin + 16]):
             display.draw(block)
     display.canvas.send()
     stream.flush(timeout_sec=10.0)
     stream.disconnect()
     times = rows_of(tmp_path / "long.rrd", "/waveform/dte", "Scalars:scalars", "sim_time").times_ns
     at = times / 1e9
-    shares = [np.count_nonzero((at >= low) & (at < 2.0 * low)) for low in (0.04, 0.08)]
-    full = np.count_nonzero(at < 0.04)
+    shares = [np.count_nonzero((at >= low) & (at < 2.0 * low)) for low in (0.064, 0.128)]
+    full = np.count_nonzero(at < 0.064)
     assert all(0.4 * full <= share <= 0.62 * full for share in shares)
