@@ -21,7 +21,17 @@ from gear_dynamics_ros.chunk import Commands, Counters
 from gear_dynamics_ros.cli.analyze import analyze_main
 from gear_dynamics_ros.events import END, OperatorEvent
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.reporting.charts import Curve, Lane, draw_chart, nice_ticks, thin_out, tick_text
+from gear_dynamics_ros.reporting.charts import (
+    LEFT,
+    RIGHT,
+    WIDTH,
+    Curve,
+    Lane,
+    draw_chart,
+    nice_ticks,
+    thin_out,
+    tick_text,
+)
 from gear_dynamics_ros.reporting.findings import searches_finding
 from gear_dynamics_ros.reporting.rendering import percent, quantity
 from gear_dynamics_ros.reporting.windows import MOST_WINDOWS, change_times, choose_windows
@@ -225,7 +235,7 @@ def test_a_chart_keeps_peaks_and_corners() -> None:
     (polygon,) = draw_chart("", [Lane("", curves=[curve])], 0.0, 3000.0, "c", "").lanes[0].curves
     points = [tuple(map(float, point.split(","))) for point in polygon.points.split()]
     left = [x for x, y in points if y == min(y for _, y in points)]
-    assert max(left) - min(left) == pytest.approx((1000.0 - 96.0 - 14.0) / 3.0, abs=2.0)
+    assert max(left) - min(left) == pytest.approx((WIDTH - LEFT - RIGHT) / 3.0, abs=2.0)
 
 
 def test_ticks_are_round_numbers_that_can_be_told_apart() -> None:
