@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 WIDTH: Final = 1000.0
 LEFT: Final = 96.0  # room for the labels of an axis
-RIGHT: Final = 14.0
+RIGHT: Final = 28.0  # room for half of the last number of the axis
 TOP: Final = 10.0
 BOTTOM: Final = 44.0
 BETWEEN: Final = 14.0  # lanes
@@ -221,7 +221,7 @@ def _draw_lane(lane: Lane, time: Scale, top: float) -> Drawing:
         bands=[_rectangle(band, time, value) for band in lane.bands],
         levels=[_rectangle(band, time, value) for band in (*lane.levels, *lane.boxes)],
         curves=[_polygon(curve, time, value) for curve in lane.curves if len(curve.time)],
-        legend=_legend(lane.curves, top),
+        legend=_legend(lane, top),
         texts=texts,
         upright=not has_axis,
     )
@@ -296,14 +296,15 @@ def thin_out(
     return time[starts], np.minimum.reduceat(low, starts), np.maximum.reduceat(high, starts)
 
 
-def _legend(curves: Sequence[Curve], top: float) -> list[LegendEntry]:
-    """Names of the curves above a lane whose upper edge is at ``top``."""
+def _legend(lane: Lane, top: float) -> list[LegendEntry]:
+    """Names of the curves and levels above a lane whose upper edge is at ``top``."""
     entries: list[LegendEntry] = []
     left = LEFT + 26.0
-    for curve in curves:
-        if curve.label:
-            entries.append(LegendEntry(Text(left, top - 6.0, curve.label), curve.colour, curve.dashed))
-            left += GLYPH * len(curve.label) + 48.0
+    curves = [(curve.label, curve.colour, curve.dashed) for curve in lane.curves]
+    for label, colour, dashed in (*curves, *((level.label, level.colour, False) for level in lane.levels)):
+        if label:
+            entries.append(LegendEntry(Text(left, top - 6.0, label), colour, dashed))
+            left += GLYPH * len(label) + 48.0
     return entries
 
 

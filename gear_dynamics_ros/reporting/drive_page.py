@@ -176,7 +176,7 @@ def _allowed(expectation: Expectation) -> list[Band]:
     if isinstance(measure, SettlingTime):
         return [Band(start, end, measure.lowest, measure.highest, palette.GREEN, "allowed after settling")]
     if isinstance(measure, Statistic):
-        label = f"allowed: {expectation.limits()}"
+        label = "allowed" if measure.name == "every" else f"allowed {measure.name}"
         return [Band(start, end, expectation.minimum, expectation.maximum, palette.GREEN, label)]
     return []
 

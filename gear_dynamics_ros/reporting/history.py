@@ -19,7 +19,8 @@ from gear_dynamics_ros.reporting.windows import AnalysisWindow, acting_events, w
 # s between two values of one command, up to which they belong to one change: a ramp is a value a chunk.
 RAMP_GAP: Final = 0.05
 MOST_ROWS: Final = 40  # of each table
-MOST_MARKS: Final = 16  # with a text on the time line
+MOST_TEXTS: Final = 16  # of marks on the time line
+MOST_MARKS: Final = 200
 COMMAND_NAMES: Final = {
     "drive_torque": ("drive torque", "N m"),
     "load_torque": ("load torque", "N m"),
@@ -135,16 +136,16 @@ def draw_history(recording: Recording, envelope: Envelope, windows: Sequence[Ana
 def _command_marks(recording: Recording) -> list[Mark]:
     changes = command_changes(recording)
     return [
-        Mark(change.start, change.mark if place < MOST_MARKS else "", palette.DIM)
-        for place, change in enumerate(changes)
+        Mark(change.start, change.mark if place < MOST_TEXTS else "", palette.DIM)
+        for place, change in enumerate(changes[:MOST_MARKS])
     ]
 
 
 def _event_marks(recording: Recording) -> list[Mark]:
     events = [event for event in acting_events(recording) if event.sample > recording.first_sample]
     return [
-        Mark(event.time, event.kind if place < MOST_MARKS else "", palette.PURPLE)
-        for place, event in enumerate(events)
+        Mark(event.time, event.kind if place < MOST_TEXTS else "", palette.PURPLE)
+        for place, event in enumerate(events[:MOST_MARKS])
     ]
 
 

@@ -41,6 +41,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters["quantity"] = quantity
+    environment.filters["percent"] = percent
     environment.filters["png_url"] = png_url
     return environment
 
@@ -52,6 +53,11 @@ def quantity(value: float, unit: str = "", digits: int = DIGITS) -> NumberText:
     # Rounded first: 999.96 with four digits is 1000, so 1 k.
     factor, shown = axis_unit(float(f"{abs(value):.{digits - 1}e}"), unit)
     return NumberText(_plain(value * factor, digits), shown)
+
+
+def percent(share: float) -> str:
+    """``share`` (0 to 1) in per cent, without the sign; one that is not 0 is never shown as 0."""
+    return "< 0.01" if 0.0 < share < 5e-5 else f"{100.0 * share:.2f}"
 
 
 def axis_unit(size: float, unit: str) -> tuple[float, str]:

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 from gear_dynamics_ros import palette
 from gear_dynamics_ros.reporting.charts import Text
-from gear_dynamics_ros.reporting.rendering import quantity
+from gear_dynamics_ros.reporting.rendering import percent, quantity
 
 WIDTH: Final = 1000.0
 TOTAL_HEIGHT: Final = 200.0  # of the sum
@@ -82,7 +82,7 @@ def _ribbons(
         path = _ribbon(left, outside, right, reached, max(thick, LEAST))
         middle, anchor = top + slot / 2.0, "start" if mirrored else "end"
         place = left + (8.0 if mirrored else -8.0)
-        text = f"{quantity(energy, 'J')}, {100.0 * energy / total:.3g} %"
+        text = f"{quantity(energy, 'J')}, {percent(energy / total)} %"
         ribbons.append(
             Ribbon(
                 path,

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
 
 from gear_dynamics_ros.cli.simulate import simulate_main
+from gear_dynamics_ros.parameters import Parameters
+from gear_dynamics_ros.physics.advice import sampling_warnings
 
 TORQUES = ("--set", "operation.control=torque", "--set", "operation.drive_torque=31.0")
 
@@ -34,3 +37,14 @@ def test_simulate_prints_all_warnings(tmp_path: Path, capsys: pytest.CaptureFixt
 
 def test_balanced_torques_bring_no_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert warnings_of(tmp_path, capsys, "--set", "operation.control=torque") == []
+
+
+def test_waves_that_pass_faster_than_samples_can_show_are_told() -> None:
+    # The shortest of 8 waves goes 40 * 1.5^7 = 683.4 times around the driving gear.
+    parameters = Parameters()
+    limit = 2.0 * math.pi * 0.5e5 / (40 * 1.5**7)  # rad/s, at 100 kHz
+    assert sampling_warnings(parameters, 0.999 * limit) == []
+    (line,) = sampling_warnings(parameters, -1.001 * limit)
+    assert "passes at 50.05 kHz, above half the sampling rate (50 kHz)" in line
+    smooth = {"surface.driving.roughness": 0.0, "surface.driven.roughness": 0.0}
+    assert sampling_warnings(Parameters.from_flat(smooth), 1e4) == []

@@ -21,11 +21,21 @@ from gear_dynamics_ros.chunk import Commands, Counters
 from gear_dynamics_ros.cli.analyze import analyze_main
 from gear_dynamics_ros.events import END, OperatorEvent
 from gear_dynamics_ros.parameters import Parameters
-from gear_dynamics_ros.reporting.charts import Curve, Lane, draw_chart, nice_ticks, thin_out, tick_text
+from gear_dynamics_ros.reporting.charts import (
+    LEFT,
+    RIGHT,
+    WIDTH,
+    Curve,
+    Lane,
+    draw_chart,
+    nice_ticks,
+    thin_out,
+    tick_text,
+)
 from gear_dynamics_ros.reporting.findings import searches_finding
-from gear_dynamics_ros.reporting.rendering import quantity
+from gear_dynamics_ros.reporting.rendering import percent, quantity
 from gear_dynamics_ros.reporting.windows import MOST_WINDOWS, change_times, choose_windows
-from support.chromium import needs_chromium, pdf_pages, print_to_pdf
+from support.chromium import needs_chromium, pdf_pages, print_to_pdf, screenshot
 from support.pages import Element, parse_page
 from support.recordings import following, record
 
@@ -109,7 +119,7 @@ def test_every_number_is_that_of_the_summary(report: Report) -> None:
     for path, element in shown.items():
         value = entry(report.summary, path)
         assert float(element.attributes["value"]) == value, path
-        assert re.fullmatch(r"-?\d[\d.]*(e-?\d+)?", element.text), path
+        assert re.fullmatch(r"(< )?-?\d[\d.]*(e-?\d+)?", element.text), path
     assert {"run.ldmf", "windows.0.ldmf", "windows.1.meshing_time.back"} <= shown.keys()
 
 
@@ -117,6 +127,7 @@ def test_a_number_is_shown_with_a_prefix_of_its_unit(report: Report) -> None:
     force = report.summary["windows"][0]["channels"]["mesh_force"]["max"]
     (cell,) = report.page.all("data", data_path="windows.0.channels.mesh_force.max")
     assert float(cell.text) == pytest.approx(1e-3 * force, rel=1e-3)
+    assert (percent(0.0), percent(2e-5), percent(0.6576)) == ("0.00", "< 0.01", "65.76")
     assert str(quantity(999.96, "N")) == "1 kN"
     assert str(quantity(-2.5e-5, "m")) == "-25 µm"
     assert str(quantity(1623.156, "rad/s", 6)) == "1623.16 rad/s"
@@ -224,7 +235,7 @@ def test_a_chart_keeps_peaks_and_corners() -> None:
     (polygon,) = draw_chart("", [Lane("", curves=[curve])], 0.0, 3000.0, "c", "").lanes[0].curves
     points = [tuple(map(float, point.split(","))) for point in polygon.points.split()]
     left = [x for x, y in points if y == min(y for _, y in points)]
-    assert max(left) - min(left) == pytest.approx((1000.0 - 96.0 - 14.0) / 3.0, abs=2.0)
+    assert max(left) - min(left) == pytest.approx((WIDTH - LEFT - RIGHT) / 3.0, abs=2.0)
 
 
 def test_ticks_are_round_numbers_that_can_be_told_apart() -> None:
@@ -296,3 +307,15 @@ def test_the_report_prints_to_pages(report: Report, tmp_path: Path) -> None:
     print_to_pdf(offline, tmp_path / "report.pdf")
     figures_shown = len(list(report.page.all("img")))
     assert figures_shown / 2 <= pdf_pages(tmp_path / "report.pdf") <= figures_shown + 6
+
+
+@needs_chromium
+def test_a_browser_without_a_network_shows_the_report(report: Report, tmp_path: Path) -> None:
+    offline = tmp_path / "report.html"
+    shutil.copy(report.folder / "report.html", offline)
+    screenshot(offline, tmp_path / "report.png", 1000, 1200)
+    picture = imread(tmp_path / "report.png")[..., :3]
+    # Text, lines and curves all the way down, on a white page.
+    assert picture.shape[:2] == (1200, 1000)
+    assert np.median(picture) == 1.0
+    assert all(strip.std() > 0.02 for strip in np.array_split(picture, 6))
