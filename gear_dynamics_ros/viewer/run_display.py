@@ -88,7 +88,7 @@ class RunDisplay:
 
     def draw_fixed(self) -> None:
         """Draw what stays for the whole run: shapes, names and colours of curves, explanations."""
-        for part in (self._scene, self._orbits, self._portrait, self._orders, self._curves):
+        for part in (self._scene, self._slow, self._orbits, self._portrait, self._orders, self._curves):
             part.draw_fixed()
         self._write(ABOUT_VIEW, self._about.text())
         self._write(ABOUT_RUN, RUN_IN_PROGRESS)

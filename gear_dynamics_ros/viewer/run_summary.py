@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from operator import itemgetter
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -117,7 +118,7 @@ class RunSummary:
             "",
             "**Commands and events**",
             "",
-            *(f"- {line}" for _, line in sorted(self._lines)[:LINES_SHOWN]),
+            *(f"- {line}" for _, line in sorted(self._lines, key=itemgetter(0))[:LINES_SHOWN]),
         ]
         more = len(self._lines) + self._more - LINES_SHOWN
         if more > 0:

@@ -134,8 +134,12 @@ class GearScene:
         self._canvas.fix_lines(f"{entity}/teeth", teeth, list(GEAR_COLOURS.values()), 1.8)
         self._canvas.fix_lines(f"{entity}/flanks", list(self._flanks(pose, contact)[0]), [colour] * 2, 5.0)
         self._canvas.fix_lines(f"{entity}/gap", list(gap_lines(contact, [state])[0]), [palette.YELLOW], 4.0)
+        self.draw_moment_title(name, title, colour)
+
+    def draw_moment_title(self, name: str, title: str, colour: str) -> None:
+        """Write what the still ``name`` shows, or why it shows nothing."""
         place = complex(self._pair.driving.reference_radius, 0.88 * self.still_bounds[1].imag)
-        self._canvas.fix_labels(f"{entity}/title", {title: place}, colour)
+        self._canvas.fix_labels(f"{MOMENTS}/{name}/title", {title: place}, colour)
 
     def _flanks(self, pose: PairPose, contact: MeshContact) -> Points:
         return np.stack(self._pair.flanks_in_mesh(pose, contact), axis=1)

@@ -15,7 +15,7 @@ from gear_dynamics_ros.viewer.scales import round_down
 
 PERIODS_BEFORE: Final = 1.5  # mesh periods of a window before what it shows
 PERIODS_AFTER: Final = 6.5
-CLEARLY_APART: Final = 0.5  # of half the backlash: DTE below it is contact lost that one sees
+CLEARLY_APART: Final = 0.75  # of half the backlash: DTE below it is contact lost that one sees
 LONGEST: Final = 0.02  # s of a window
 MOST_SAMPLES: Final = 4000  # of a window
 SETTLING: Final = 0.05  # s after the start that are not chosen

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from gear_dynamics_ros import palette
 from gear_dynamics_ros.channels import COLUMN
 from gear_dynamics_ros.viewer.canvas import Canvas, Times
 from gear_dynamics_ros.viewer.curve_plots import CurvePlots
@@ -22,6 +23,7 @@ PATH_SAMPLES: Final = 300  # of an orbit or phase portrait before each frame
 PAUSE: Final = 1.0  # s on the slow timeline between two windows
 MICROMETRES: Final = 1.0e6
 MOMENTS: Final = {"drive": 1, "apart": 0, "back": -1}  # stills: name, meshing state
+NOT_SEEN: Final = "not in the slow motion"
 
 Values = NDArray[np.float64]
 
@@ -43,6 +45,11 @@ class SlowScene:
         self._portrait = portrait
         self._curves = curves
         self._offset_ns = 0
+
+    def draw_fixed(self) -> None:
+        """Draw what stands in the place of a still that a run does not have."""
+        for name in MOMENTS:
+            self._scene.draw_moment_title(name, NOT_SEEN, palette.GREY)
 
     def draw(self, window: SlowWindow, interval_ns: int) -> None:
         """Draw ``window`` behind the last one; ``interval_ns`` is that of its samples."""
