@@ -39,13 +39,13 @@ def amplitude_spectrum(values: NDArray[np.float64], interval: float) -> Spectrum
 
     Raises ValueError for fewer than MIN_SAMPLES values.
     """
-    # scipy.signal takes a second to import, which only those who need a spectrum should wait for.
-    from scipy.signal.windows import general_cosine
-
     count = len(values)
     if count < MIN_SAMPLES:
         raise ValueError(f"{count} samples are too few for a spectrum: give at least {MIN_SAMPLES}")
-    window = general_cosine(count, HFT95_COEFFICIENTS, sym=False)
+    angle = np.linspace(-np.pi, np.pi, count, endpoint=False)
+    window = sum(
+        (factor * np.cos(k * angle) for k, factor in enumerate(HFT95_COEFFICIENTS)), start=np.zeros(count)
+    )
     weighted = (values - values.mean()) * window
     amplitude: NDArray[np.float64] = 2.0 / count * np.abs(np.fft.rfft(weighted))
     frequency = np.asarray(np.fft.rfftfreq(count, interval), dtype=np.float64)
