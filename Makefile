@@ -1,4 +1,4 @@
-# make setup | demo | reproduce | paper-search | test | bench | soak | lint | clean
+# make setup | demo | gallery | reproduce | paper-search | test | bench | soak | lint | clean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -15,12 +15,16 @@ INSTALLED := $(VENV)/.installed
 WARM := $(VENV)/.warm
 NODE_READERS := test/node/node_modules/.installed
 
-.PHONY: setup demo reproduce paper-search test bench soak lint clean
+.PHONY: setup demo gallery reproduce paper-search test bench soak lint clean
 
 setup: $(WARM)
 
 demo: setup
 	@$(BIN)/python scripts/demo.py --output demo
+
+# docs/gallery.md and its pictures; needs Chromium and a Vulkan driver.
+gallery: setup
+	@$(BIN)/python scripts/gallery.py --output docs
 
 # The source paper's numbers, claims and figures, beside ours.
 reproduce: setup

@@ -10,13 +10,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gear_dynamics_ros import palette
-from gear_dynamics_ros.analysis.figures.overview import ends_of, mark_changes
+from gear_dynamics_ros.analysis.figures.overview import ends_of, mark_changes, number_windows
 from gear_dynamics_ros.analysis.figures.style import styled
 from gear_dynamics_ros.analysis.meshing import MeshingTimeline
 from gear_dynamics_ros.analysis.sections import MeshingShares
 from gear_dynamics_ros.chunk import Samples
 
 COURSE_INTERVALS: Final = 200
+LEAST_NUMBERED: Final = 0.005  # share that gets a number
 STATES: Final = (  # label, colour and hatch, from below, in the order of MeshingShares
     ("drive flank", palette.BLUE, ""),
     ("apart", "#F2F2F2", ""),
@@ -55,6 +56,7 @@ def meshing_shares_figure(
     mark_changes(course, changes)
     for window in windows:
         course.axvspan(*ends_of(window), fill=False, edgecolor="black", linewidth=1.2)
+    number_windows(course, [ends_of(window) for window in windows])
     course.set(xlim=(edges[0], edges[-1]), ylim=(0.0, 100.0))
     course.set_xlabel("simulated time (s)")
     course.set_ylabel("share of time (%)")
@@ -84,12 +86,13 @@ def _draw_bar(axis: Axes, place: int, shares: MeshingShares) -> None:
         axis.bar(
             place, 100.0 * share, 0.72, base, color=colour, hatch=hatch, edgecolor="black", linewidth=0.6
         )
-        axis.annotate(
-            f"{100.0 * share:.1f}",
-            (place, base + 50.0 * share),
-            ha="center",
-            va="center",
-            bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.85},
-            annotation_clip=False,
-        )
+        if share > LEAST_NUMBERED:
+            axis.annotate(
+                f"{100.0 * share:.1f}",
+                (place, base + 50.0 * share),
+                ha="center",
+                va="center",
+                bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.85},
+                annotation_clip=False,
+            )
         base += 100.0 * share

@@ -16,7 +16,7 @@ from gear_dynamics_ros.analysis.statistics import Envelope, bearing_force_name
 from gear_dynamics_ros.channels import GEARS
 from gear_dynamics_ros.chunk import Samples
 
-DRAWN_INTERVALS: Final = 700  # two pixels each
+DRAWN_INTERVALS: Final = 500  # three pixels each
 MAX_CHANGE_LINES: Final = 40  # changes marked by a line each; above that, by ticks
 
 
@@ -98,12 +98,14 @@ def overview_figure(
             )
         if len(changes) <= MAX_CHANGE_LINES or axis is axes[0]:
             mark_changes(axis, changes)
-        mark_windows(axis, windows)
+        for window in windows:
+            axis.axvspan(*window, facecolor=(palette.GREEN, 0.13), edgecolor="black", linewidth=0.6)
         axis.set_ylabel(panel.axis_label)
         axis.margins(x=0.01)
         if len(panel.curves) > 1:
             axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
     axes[-1].set_xlabel("simulated time (s)")
+    number_windows(axes[0], windows)
     axes[0].set_title(_overview_title(len(changes), len(windows)))
     figure.align_ylabels(axes)
     return figure
@@ -145,10 +147,22 @@ def mark_changes(axis: Axes, changes: Sequence[float]) -> None:
         )
 
 
-def mark_windows(axis: Axes, windows: Sequence[tuple[float, float]]) -> None:
-    """Frame and shade the ``windows``, each a start and an end in s."""
-    for window in windows:
-        axis.axvspan(*window, facecolor=(palette.GREEN, 0.13), edgecolor="black", linewidth=0.6)
+def number_windows(axis: Axes, windows: Sequence[tuple[float, float]]) -> None:
+    """Write their numbers, from 1, at the right end of the ``windows``, each a start and an end in s."""
+    for number, (_, end) in enumerate(windows, start=1):
+        if len(windows) > 1:
+            axis.annotate(
+                str(number),
+                (end, 0.03),
+                xycoords=axis.get_xaxis_transform(),
+                xytext=(-2, 0),
+                textcoords="offset points",
+                ha="right",
+                va="bottom",
+                fontsize=8.5,
+                fontweight="bold",
+                bbox={"boxstyle": "round,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
+            )
 
 
 def ends_of(samples: Samples) -> tuple[float, float]:

@@ -66,7 +66,7 @@ def write_png(figure: Figure, stream: BinaryIO) -> None:
 def write_svg(figure: Figure, stream: BinaryIO) -> None:
     """Write ``figure`` to ``stream``, the same bytes each time. Raises OSError if that fails.
 
-    Paths have hundredths of a point, rasterised parts 128 colours: less than half the size.
+    Paths have hundredths of a point, rasterised parts few colours: less than half the size.
     """
     with mpl.rc_context(cast(Any, FIGURE_STYLE)), io.BytesIO() as drawn:
         figure.savefig(drawn, format="svg", metadata={"Date": None}, dpi=RASTER_DPI)
@@ -76,12 +76,14 @@ def write_svg(figure: Figure, stream: BinaryIO) -> None:
 
 
 def _fewer_colours(encoded: re.Match[bytes]) -> bytes:
-    """The PNG file ``encoded`` in base64, with 128 colours."""
+    """The PNG file ``encoded`` in base64 with 256 colours, or 128 with transparency."""
     with io.BytesIO(base64.b64decode(encoded.group())) as drawn, io.BytesIO() as small:
         picture = Image.open(drawn).convert("RGBA")
-        picture.quantize(colors=128, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
-            small, format="PNG", optimize=True
-        )
+        if picture.getchannel("A").getextrema() == (255, 255):  # a map: its colours are amplitudes
+            quantized = picture.convert("RGB").quantize(colors=256, dither=Image.Dither.NONE)
+        else:
+            quantized = picture.quantize(128, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+        quantized.save(small, format="PNG", optimize=True)
         return base64.b64encode(small.getvalue())
 
 
