@@ -11,6 +11,7 @@ from gear_dynamics_ros.events import CHANGE, END, TIMEOUT
 from gear_dynamics_ros.parameters import Parameters, updated
 from gear_dynamics_ros.recording import OperatorEvent, Recording
 from gear_dynamics_ros.reporting.recording_text import fault_lines
+from gear_dynamics_ros.reporting.windows import acting_events
 
 OK: Final = "ok"
 WARNING: Final = "warning"
@@ -83,9 +84,9 @@ def _unique(lines: Iterable[str]) -> list[str]:
 
 
 def _parameters_in_force(recording: Recording) -> list[Parameters]:
-    """The parameters at the start, and after each change of them."""
+    """The parameters at the start, and after each change that acts on the gearbox."""
     found = [recording.parameters]
-    for event in recording.events:
+    for event in acting_events(recording):
         if event.kind == CHANGE and event.sample >= recording.first_sample:
             changed = updated(found[-1], event.parameters)
             if changed != found[-1]:

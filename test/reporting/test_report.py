@@ -191,6 +191,21 @@ def test_no_more_windows_than_the_bound(tmp_path: Path) -> None:
     assert [w.commands.load_torque for w in windows if w.commands] == [32.0, 33.0, 34.0, 35.0, 36.0, 37.0]
 
 
+@pytest.mark.parametrize(
+    ("change", "starts"),
+    [({"mesh.damping_ratio": 0.2}, [0.12, 0.44]), ({"pacing.real_time_factor": 0.5}, [0.44])],
+)
+def test_a_change_of_the_model_makes_another_window_and_one_of_the_pace_none(
+    tmp_path: Path, change: dict[str, float], starts: list[float]
+) -> None:
+    quick = Parameters.from_flat({"solver.step": 1e-5, "model": "traditional"})
+    deeds: list[dict[str, float] | None] = [None] * (2 * SECTION)
+    deeds[SECTION] = change
+    bag = record(tmp_path / "bag", quick, 2 * SECTION, following(deeds))
+    windows = choose_windows(bag, change_times(bag), None, None)
+    assert [window.span.start for window in windows] == pytest.approx(starts)
+
+
 def test_each_window_has_its_figures_with_captions(report: Report) -> None:
     for place, window in enumerate(report.summary["windows"]):
         assert set(window["figures"]) == set(figures.FIGURE_NAMES) - set(figures.RUN_FIGURES)
