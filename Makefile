@@ -30,7 +30,7 @@ gallery: setup
 reproduce: setup
 	@$(BIN)/reproduce --output docs
 
-# Whether other values of what the paper leaves open agree with more of it; half an hour.
+# Whether other values of what the paper leaves open agree with more of it; a quarter of an hour.
 paper-search: setup
 	@$(BIN)/python scripts/paper_search.py --trials paper_search --output docs/paper_search.md
 

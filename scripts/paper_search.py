@@ -39,7 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         metavar="DIR",
         help="folder for the trials: an interrupted search in it goes on",
     )
-    parser.add_argument("--generations", type=int, default=6, metavar="N", help="of each search (default: 6)")
+    parser.add_argument("--generations", type=int, default=3, metavar="N", help="of each search (default: 3)")
     parser.add_argument("--workers", type=int, metavar="N", help="threads (default: one a processor)")
     return run_command(_search, parser, argv)
 

@@ -115,8 +115,7 @@ def _introduction(report: PaperReport) -> str:
         f"{report.effort.speed_step} rpm and those that the text names). Every run starts with the drive "
         f"flank touching, and uses the published equations with `{PARAMETER_FILE}`.\n\n"
         "The paper leaves some parameters open, among them the restitution of sections 3.1, 3.2 and 3.4. "
-        "*One set* has one restitution for all of them. *By section* has one for each section, and its own "
-        "values of the rest.\n\n"
+        "*One set* has one restitution for all of them, *by section* has one for each section.\n\n"
         "- Forces are those of the bearing contact on the driving gear; the driven gear is equal.\n"
         "- Shares are of time, from located contact events. A range is that of all steps.\n"
         "- A motion is chaotic where neighbours separate and the 0-1 test agrees, as `sweep` has it. The "
@@ -223,7 +222,7 @@ def _momentum(balances: Sequence[MomentumBalance]) -> str:
         f"{balances[0].limit:.2f} N, whatever the parameters. With a film the contact can carry less.\n\n"
         f"{markdown_table(head, rows)}\n\n"
         "The paper prints 374.10 N for compared. No torque gives both this and the 519.15 N of traditional, "
-        "which by itself is 2.4 % too low. No parameter was fitted to these numbers."
+        "which by itself is 2.4 % too low. No parameter was fitted to the impossible one."
     )
 
 
