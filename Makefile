@@ -1,4 +1,4 @@
-# make setup | demo | gallery | reproduce | paper-search | test | bench | soak | lint | clean
+# make setup | demo | gallery | reproduce | paper_search | test | bench | soak | lint | clean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -15,7 +15,7 @@ INSTALLED := $(VENV)/.installed
 WARM := $(VENV)/.warm
 NODE_READERS := test/node/node_modules/.installed
 
-.PHONY: setup demo gallery reproduce paper-search test bench soak lint clean
+.PHONY: setup demo gallery reproduce paper_search test bench soak lint clean
 
 setup: $(WARM)
 
@@ -30,8 +30,8 @@ gallery: setup
 reproduce: setup
 	@$(BIN)/reproduce --output docs
 
-# Whether other values of what the paper leaves open agree with more of it; a quarter of an hour.
-paper-search: setup
+# Whether other values of what the paper leaves open agree with more of it; ten minutes.
+paper_search: setup
 	@$(BIN)/python scripts/paper_search.py --trials paper_search --output docs/paper_search.md
 
 test: setup $(NODE_READERS)

@@ -1,4 +1,4 @@
-"""Searches for what the source paper leaves open, and writes what cannot be had together as a page."""
+"""Searches for what the source paper leaves open, and writes what no set gave together as a page."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         metavar="DIR",
         help="folder for the trials: an interrupted search in it goes on",
     )
-    parser.add_argument("--generations", type=int, default=3, metavar="N", help="of each search (default: 3)")
+    parser.add_argument("--generations", type=int, default=1, metavar="N", help="of each search (default: 1)")
     parser.add_argument("--workers", type=int, metavar="N", help="threads (default: one a processor)")
     return run_command(_search, parser, argv)
 
@@ -51,7 +51,7 @@ def _search(arguments: argparse.Namespace) -> int:
         for number, (title, space) in enumerate(_spaces().items(), start=1)
     ]
     with output_file(arguments.output) as stream:
-        stream.write(search_page(searches, "make paper-search").encode())
+        stream.write(search_page(searches, "make paper_search").encode())
     print(arguments.output)
     return 0
 

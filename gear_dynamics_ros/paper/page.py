@@ -256,7 +256,7 @@ def _parameters(report: PaperReport) -> str:
     ]
     return (
         f"What the paper leaves open; *one set* is `{PARAMETER_FILE}`. [paper_search.md](paper_search.md) "
-        "has the ranges in which it was looked for, and what cannot be had together.\n\n"
+        "has the ranges in which it was looked for, and what no set gave together.\n\n"
         + markdown_table(("parameter", "one set", "by section", "unit"), rows)
     )
 

@@ -1,4 +1,4 @@
-"""The searches as a page: what no set of the open parameters gives together with the rest."""
+"""The searches as a page: what no set of the open parameters gave together with the rest."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class PaperSearch(NamedTuple):
 def search_page(searches: Sequence[PaperSearch], command: str) -> str:
     """The page, Markdown."""
     parts = [
-        "# What cannot be had together",
+        "# What no set gave together",
         _introduction(command),
         *(part for search in searches for part in _chapter(search)),
         "## The space",
