@@ -243,7 +243,7 @@ def _refined(report: PaperReport) -> str:
         "The same runs with `mesh_geometry: exact`, `mesh_damping: contact`, `restitution_law: exact` and "
         f"`mesh_phase: actual`: of {totals.claims} claims {totals.true} hold, {totals.mixed} are mixed. At "
         "some speeds the refined equations press the centres together, until no backlash is left: such a "
-        "run ends, gives no number, and is a white gap in the figure.\n\n"
+        "run ends, gives no number, and is a white gap in the figure.\n\n" + markdown_table(head, rows)
     )
 
 
