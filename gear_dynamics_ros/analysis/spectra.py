@@ -42,6 +42,7 @@ def amplitude_spectrum(values: NDArray[np.float64], interval: float) -> Spectrum
     count = len(values)
     if count < MIN_SAMPLES:
         raise ValueError(f"{count} samples are too few for a spectrum: give at least {MIN_SAMPLES}")
+    # Not scipy.signal's window: its import takes a second, also from the viewer's thread of the node.
     angle = np.linspace(-np.pi, np.pi, count, endpoint=False)
     window = sum(
         (factor * np.cos(k * angle) for k, factor in enumerate(HFT95_COEFFICIENTS)), start=np.zeros(count)

@@ -21,6 +21,14 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_span(parser: argparse.ArgumentParser) -> None:
+    """Add the options ``--from`` and ``--to``, as ``start`` and ``end`` in s of simulated time."""
+    parser.add_argument(
+        "--from", dest="start", type=float, metavar="S", help="start at this simulated time, s"
+    )
+    parser.add_argument("--to", dest="end", type=float, metavar="S", help="end before this simulated time, s")
+
+
 def require_workers(count: int | None) -> None:
     """Raise UsageError if ``count`` of ``--workers`` is out of bounds; None: not given."""
     if count is not None and not 1 <= count <= MOST_WORKERS:

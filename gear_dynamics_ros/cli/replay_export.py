@@ -8,6 +8,7 @@ from typing import Any
 
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.cli.faults import warn_of_faults
+from gear_dynamics_ros.cli.options import add_span
 from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.recording.export import tables
 from gear_dynamics_ros.recording.export.formats import FORMATS
@@ -31,10 +32,7 @@ def add_export(verbs: Any) -> None:
     parser.add_argument(
         "--channels", metavar="NAME,...", help="columns of the waveform beside sample and time (default: all)"
     )
-    parser.add_argument(
-        "--from", dest="start", type=float, metavar="S", help="start at this simulated time, s"
-    )
-    parser.add_argument("--to", dest="end", type=float, metavar="S", help="end before this simulated time, s")
+    add_span(parser)
     parser.set_defaults(command=_export)
 
 

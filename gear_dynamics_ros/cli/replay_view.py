@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.cli.faults import warn_of_faults
+from gear_dynamics_ros.cli.options import add_span
 from gear_dynamics_ros.cli.progress import Progress
 from gear_dynamics_ros.errors import UsageError
 from gear_dynamics_ros.parameters import specifications
@@ -27,10 +28,7 @@ def add_view(verbs: Any) -> None:
         "(.rbl) beside it, or serve it to a browser on this machine until Ctrl-C.",
     )
     parser.add_argument("bag", metavar="BAG", help="recording: a folder or a single .mcap file")
-    parser.add_argument(
-        "--from", dest="start", type=float, metavar="S", help="start at this simulated time, s"
-    )
-    parser.add_argument("--to", dest="end", type=float, metavar="S", help="end before this simulated time, s")
+    add_span(parser)
     parser.add_argument("--output", type=Path, metavar="F.rrd", help="new file (default: BAG with .rrd)")
     parser.add_argument("--serve", action="store_true", help="write no file; print the URL for a browser")
     for name, parameter in (("--port", "rerun.port"), ("--web-port", "rerun.web_port")):

@@ -18,26 +18,6 @@ UNITS: Final[Mapping[str, str]] = {"um": "µm", "1": ""}  # as the page writes t
 SIGNIFICANT: Final = 5  # digits of our numbers
 
 
-# Rows of the table of parameters, with their units.
-OPEN_UNITS: Final[Mapping[str, str]] = {
-    "static error, mesh orders 1, 2, ...: cosine": "µm",
-    "static error: sine": "µm",
-    "mesh stiffness, relative: cosine": "",
-    "mesh stiffness, relative: sine": "",
-    "bearing clearance": "µm",
-    "bearing length": "mm",
-    "bearing diameter": "mm",
-    "oil clearance": "µm",
-    "Kelvin stiffness": "N/m",
-    "Kelvin damping": "N s/m",
-    "least impact speed": "m/s",
-    "surface: ratio of waves": "",
-    "surface: number of waves": "",
-    "surface: offset, driving": "rad",
-    "surface: offset, driven": "rad",
-}
-
-
 class PaperReport(NamedTuple):
     """All comparisons, and how they were made."""
 
@@ -250,7 +230,9 @@ def _refined(report: PaperReport) -> str:
 def _parameters(report: PaperReport) -> str:
     sets = [comparison.results.parameter_set for comparison in (report.one_set, report.by_section)]
     columns = [_open_values(one.parameters) for one in sets]
-    rows = [(name, *(column[name] for column in columns), unit) for name, unit in OPEN_UNITS.items()]
+    rows: list[Sequence[str]] = [
+        (name, value, other, unit) for (name, value, unit), (_, other, _) in zip(*columns, strict=True)
+    ]
     rows += [
         (f"restitution, section {section}", *(_restitution(one, section) for one in sets), "")
         for section in SECTIONS_WITHOUT_RESTITUTION
@@ -262,27 +244,26 @@ def _parameters(report: PaperReport) -> str:
     )
 
 
-def _open_values(parameters: Parameters) -> dict[str, str]:
-    """Values of OPEN_UNITS, as text."""
+def _open_values(parameters: Parameters) -> list[tuple[str, str, str]]:
+    """Name, value and unit of what the paper leaves open, but the restitution."""
     mesh, surface, bearing = parameters.mesh, parameters.surface, parameters.bearings.driving
-    values = (
-        _list(mesh.error_cos, 1e6),
-        _list(mesh.error_sin, 1e6),
-        _list(mesh.stiffness_cos, 1.0),
-        _list(mesh.stiffness_sin, 1.0),
-        f"{1e6 * bearing.clearance:g}",
-        f"{1e3 * bearing.length:g}",
-        f"{1e3 * bearing.diameter:g}",
-        f"{1e6 * bearing.oil_clearance:g}",
-        f"{bearing.kelvin_stiffness:g}",
-        f"{bearing.kelvin_damping:g}",
-        f"{parameters.bearings.minimum_impact_speed:g}",
-        f"{surface.scale:g}",
-        f"{surface.waves}",
-        f"{surface.driving.offset:g}",
-        f"{surface.driven.offset:g}",
-    )
-    return dict(zip(OPEN_UNITS, values, strict=True))
+    return [
+        ("static error, mesh orders 1, 2, ...: cosine", _list(mesh.error_cos, 1e6), "µm"),
+        ("static error: sine", _list(mesh.error_sin, 1e6), "µm"),
+        ("mesh stiffness, relative: cosine", _list(mesh.stiffness_cos, 1.0), ""),
+        ("mesh stiffness, relative: sine", _list(mesh.stiffness_sin, 1.0), ""),
+        ("bearing clearance", f"{1e6 * bearing.clearance:g}", "µm"),
+        ("bearing length", f"{1e3 * bearing.length:g}", "mm"),
+        ("bearing diameter", f"{1e3 * bearing.diameter:g}", "mm"),
+        ("oil clearance", f"{1e6 * bearing.oil_clearance:g}", "µm"),
+        ("Kelvin stiffness", f"{bearing.kelvin_stiffness:g}", "N/m"),
+        ("Kelvin damping", f"{bearing.kelvin_damping:g}", "N s/m"),
+        ("least impact speed", f"{parameters.bearings.minimum_impact_speed:g}", "m/s"),
+        ("surface: ratio of waves", f"{surface.scale:g}", ""),
+        ("surface: number of waves", f"{surface.waves}", ""),
+        ("surface: offset, driving", f"{surface.driving.offset:g}", "rad"),
+        ("surface: offset, driven", f"{surface.driven.offset:g}", "rad"),
+    ]
 
 
 def _restitution(one: ParameterSet, section: str) -> str:

@@ -88,14 +88,8 @@ def new_named_file(path: Path) -> Iterator[Path]:
     """As ``new_file``, for a library that opens files by name: gives the name of the draft to make."""
     draft = _draft_beside(path)
     _created(draft, lambda: draft.open("xb")).close()
-    with _explained(path):
-        try:
-            yield draft
-            _rename_new(draft, path)
-            sync_folder(path.parent)
-        except BaseException:
-            draft.unlink(missing_ok=True)
-            raise
+    with _published(draft, path, lambda: draft.unlink(missing_ok=True)):
+        yield draft
 
 
 @contextmanager
@@ -107,15 +101,9 @@ def new_folder(path: Path) -> Iterator[Path]:
     """
     draft = _draft_beside(path)
     _created(draft, draft.mkdir)
-    with _explained(path):
-        try:
-            yield draft
-            sync_folder(draft)
-            _rename_new(draft, path)
-            sync_folder(path.parent)
-        except BaseException:
-            shutil.rmtree(draft, ignore_errors=True)  # the error under way says more
-            raise
+    # An error under way says more than one of removing the draft.
+    with _published(draft, path, lambda: shutil.rmtree(draft, ignore_errors=True)):
+        yield draft
 
 
 def require_new(path: Path) -> None:
@@ -131,11 +119,16 @@ def sync_folder(path: Path) -> None:
 
     Raises OSError if that fails.
     """
-    folder = os.open(path, os.O_RDONLY)
+    _sync(path)
+
+
+def _sync(path: Path) -> None:
+    """Flush a file or a folder, whoever wrote it, to the disk."""
+    opened = os.open(path, os.O_RDONLY)
     try:
-        os.fsync(folder)
+        os.fsync(opened)
     finally:
-        os.close(folder)
+        os.close(opened)
 
 
 def _draft_beside(path: Path) -> Path:
@@ -158,6 +151,20 @@ def _created(draft: Path, create: Callable[[], _T]) -> _T:
         ) from None
     except OSError as error:
         raise UsageError(f"can't make '{draft}': {error.strerror}: choose a writable place") from error
+
+
+@contextmanager
+def _published(draft: Path, path: Path, discard: Callable[[], object]) -> Iterator[None]:
+    """Let the block fill ``draft``, a file or a folder; then flush it and rename it to ``path``."""
+    with _explained(path):
+        try:
+            yield
+            _sync(draft)
+            _rename_new(draft, path)
+            sync_folder(path.parent)
+        except BaseException:
+            discard()
+            raise
 
 
 @contextmanager

@@ -13,8 +13,8 @@ from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.viewer.canvas import Canvas, Times, circle
 from gear_dynamics_ros.viewer.entities import orbit_entity
 from gear_dynamics_ros.viewer.gear_pair import plane_vector
+from gear_dynamics_ros.viewer.scales import MICROMETRES
 
-MICROMETRES: Final = 1.0e6
 VIEW_MARGIN: Final = 1.35  # of the circle that fills a view
 
 Values = NDArray[np.float64]

@@ -13,8 +13,8 @@ from gear_dynamics_ros.analysis.spectra import amplitude_spectrum
 from gear_dynamics_ros.channels import COLUMN
 from gear_dynamics_ros.viewer.canvas import Canvas, Times
 from gear_dynamics_ros.viewer.entities import ORDERS
+from gear_dynamics_ros.viewer.scales import MICROMETRES
 
-MICROMETRES: Final = 1.0e6
 HIGHEST_ORDER: Final = 6
 POINTS_PER_PERIOD: Final = 4 * HIGHEST_ORDER
 MOST_PERIODS: Final = 64

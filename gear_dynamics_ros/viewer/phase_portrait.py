@@ -15,8 +15,8 @@ from gear_dynamics_ros.physics.geometry import base_radii
 from gear_dynamics_ros.viewer.blueprint import PORTRAIT_HALF
 from gear_dynamics_ros.viewer.canvas import Canvas, Times
 from gear_dynamics_ros.viewer.entities import PHASE_PORTRAIT
+from gear_dynamics_ros.viewer.scales import MICROMETRES
 
-MICROMETRES: Final = 1.0e6
 POINTS_KEPT: Final = 400
 
 Values = NDArray[np.float64]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from gear_dynamics_ros.channels import COLUMN, GEARS, IMPACTS
 from gear_dynamics_ros.chunk import Commands
 from gear_dynamics_ros.events import CHANGE, PAUSE, RESUME, OperatorEvent
+from gear_dynamics_ros.viewer.scales import MICROMETRES
 
 LINES_SHOWN: Final = 12  # of commands and events
 LINES_KEPT: Final = 1000
@@ -20,7 +21,6 @@ RAMP_GAP: Final = 0.1  # s: changes of commands closer together are one ramp
 PACING: Final = ("pacing.", "stepping.")
 COMMAND_UNITS: Final = {"drive_torque": "N m", "load_torque": "N m", "speed": "rad/s"}
 IMPACT_COLUMN: Final = {entry.name: i for i, entry in enumerate(IMPACTS)}
-MICROMETRES: Final = 1.0e6
 
 Values = NDArray[np.float64]
 

@@ -9,6 +9,7 @@ from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.physics.geometry import base_radii
 
 MILLIMETRES: Final = 1.0e3  # per m: the scene is drawn in mm
+MICROMETRES: Final = 1.0e6  # per m
 LARGEST_GAP: Final = 0.4  # modules: what the gaps between the teeth may take of them
 HUB_SIZE: Final = 0.3  # reference radii: circle of the clearance in the hub of a gear
 ARROW_LENGTH: Final = 0.35  # reference radii: arrow of the typical force

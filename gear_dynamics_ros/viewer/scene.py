@@ -14,9 +14,8 @@ from gear_dynamics_ros.parameters import Parameters
 from gear_dynamics_ros.viewer.canvas import Canvas, Times, circle
 from gear_dynamics_ros.viewer.entities import MOMENTS, SCENE
 from gear_dynamics_ros.viewer.gear_pair import GearPair, MeshContact, PairPose, plane_vector
-from gear_dynamics_ros.viewer.scales import CLOSE_UP_SHARE, MILLIMETRES, DrawingScales
+from gear_dynamics_ros.viewer.scales import CLOSE_UP_SHARE, MICROMETRES, MILLIMETRES, DrawingScales
 
-MICROMETRES: Final = 1.0e6  # per m
 GEAR_COLOURS: Final = {"driving": "#E6E6E6", "driven": "#A8A8A8"}
 # By meshing state, as channel ``meshing_state``.
 STATE_COLOURS: Final = {1: palette.SKY, 0: palette.YELLOW, -1: palette.ORANGE}

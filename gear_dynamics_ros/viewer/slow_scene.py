@@ -15,13 +15,13 @@ from gear_dynamics_ros.viewer.curve_plots import CurvePlots
 from gear_dynamics_ros.viewer.entities import SLOW_TIMELINE
 from gear_dynamics_ros.viewer.journal_orbits import BearingOrbits
 from gear_dynamics_ros.viewer.phase_portrait import PhasePortrait
+from gear_dynamics_ros.viewer.scales import MICROMETRES
 from gear_dynamics_ros.viewer.scene import Frames, GearScene
 from gear_dynamics_ros.viewer.slow_motion import SlowWindow
 
 MOST_FRAMES: Final = 250  # of a window
 PATH_SAMPLES: Final = 300  # of an orbit or phase portrait before each frame
 PAUSE: Final = 1.0  # s on the slow timeline between two windows
-MICROMETRES: Final = 1.0e6
 MOMENTS: Final = {"drive": 1, "apart": 0, "back": -1}  # stills: name, meshing state
 NOT_SEEN: Final = "not in the slow motion"
 
