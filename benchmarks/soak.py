@@ -33,6 +33,7 @@ from gear_dynamics_ros.parameters import load_parameters
 from gear_dynamics_ros.simulation.provenance import processor_name
 from gear_dynamics_ros.system.command import FAILURE, run_command
 from gear_dynamics_ros.topics import TOPICS
+from gear_dynamics_ros.viewer.destinations import LIVE_MEMORY
 
 DURATION = 600.0  # s of wall time, as are the next
 SHORTEST = 3.0  # diagnostics come once a second
@@ -42,7 +43,7 @@ COMMAND_INTERVAL = 0.05
 SPLIT_INTERVAL = 20.0
 BARE_INTERVAL = 30.0  # from one bare loop to the next
 BARE_DURATION = 3.0
-# Rerun's server keeps the newest 256 MiB; before it is full nothing can be said of memory.
+# Before Rerun's server is full nothing can be said of memory.
 MEMORY_SETTLES = 300.0
 MEMORY_JUDGED = 60.0  # at least
 LOAD_TORQUE = (20.0, 40.0)  # N m
@@ -328,7 +329,7 @@ def page(found: Found, table: list[Row]) -> list[str]:
         f"and Rerun (serve) on, {found.commands} commands at {1.0 / COMMAND_INTERVAL:g} Hz. A process beside "
         "it follows the time of every sample of `~/waveform`; the rest is from `/diagnostics`, once a "
         "second, and the system. Memory gained is what a straight line through the resident memory rises, "
-        "once Rerun's server holds all that it may (256 MiB). "
+        f"once Rerun's server holds all that it may ({LIVE_MEMORY}). "
         f"Every {BARE_INTERVAL:g} s the node was paused for {BARE_DURATION:g} s, and a bare loop took its "
         f"place, which sleeps to each edge and computes for {1e3 * found.computing:.2f} ms, as the engine, "
         "without node, ROS or recording.",

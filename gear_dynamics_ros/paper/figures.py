@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple, cast
 
 import matplotlib as mpl
@@ -241,11 +241,17 @@ def portraits_figure(results: PaperResults, cases: Mapping[str, str]) -> Figure:
     """Phase portrait and Poincaré section of each of ``cases``, titles to names."""
     figure = Figure(figsize=(11.0, 4.2), layout="constrained")
     axes = figure.subplots(1, len(cases), sharex=True, sharey=True)
-    for axis, (title, name), colour in zip(axes, cases.items(), THREE, strict=True):
+    for axis, name, colour in _panels(axes, cases):
         _draw_portrait(axis, results.waveforms.get(name), colour)
-        axis.set_title(title)
     axes[0].set_ylabel("rate of DTE (m/s)")
     return figure
+
+
+def _panels(axes: Sequence[Axes], cases: Mapping[str, str]) -> Iterator[tuple[Axes, str, str]]:
+    """Axis, case and colour of each of ``cases``, titles to names; the axis gets its title."""
+    for axis, (title, name), colour in zip(axes, cases.items(), THREE, strict=True):
+        axis.set_title(title)
+        yield axis, name, colour
 
 
 def _draw_portrait(axis: Axes, samples: Samples | None, colour: str) -> None:
@@ -266,9 +272,8 @@ def lines_figure(results: PaperResults, cases: Mapping[str, str]) -> Figure:
     """Spectrum of DTE of each of ``cases``, titles to names."""
     figure = Figure(figsize=(10.0, 7.2), layout="constrained")
     axes = figure.subplots(len(cases), 1, sharex=True, sharey=True)
-    for axis, (title, name), colour in zip(axes, cases.items(), THREE, strict=True):
+    for axis, name, colour in _panels(axes, cases):
         _draw_lines(axis, results, name, colour)
-        axis.set_title(title)
         axis.set_ylabel("amplitude of DTE (µm)")
     axes[-1].set_xlabel("mesh order")
     return figure
@@ -286,9 +291,8 @@ def loops_figure(results: PaperResults, cases: Mapping[str, str]) -> Figure:
     """Bearing contact force over penetration of each of ``cases``, titles to names."""
     figure = Figure(figsize=(11.0, 4.2), layout="constrained")
     axes = figure.subplots(1, len(cases))
-    for axis, (title, name), colour in zip(axes, cases.items(), THREE, strict=True):
+    for axis, name, colour in _panels(axes, cases):
         _draw_loop(axis, results.waveforms.get(name), colour)
-        axis.set_title(title)
     axes[0].set_ylabel("bearing contact force (N)")
     return figure
 
@@ -307,7 +311,7 @@ def forces_figure(results: PaperResults, cases: Mapping[str, str]) -> Figure:
     """Bearing contact force over time of each of ``cases``, titles to names."""
     figure = Figure(figsize=(10.0, 7.2), layout="constrained")
     axes = figure.subplots(len(cases), 1, sharex=True)
-    for axis, (title, name), colour in zip(axes, cases.items(), THREE, strict=True):
+    for axis, name, colour in _panels(axes, cases):
         samples = results.waveforms.get(name)
         if samples is None:
             _nothing(axis)
@@ -316,7 +320,7 @@ def forces_figure(results: PaperResults, cases: Mapping[str, str]) -> Figure:
             axis.plot(periods, shown.contact_force(GEAR), color=colour)
             axis.set_xlim(0.0, SHOWN_PERIODS)
         axis.axhline(results.static_force, color=palette.GREY, linewidth=0.9, linestyle="--")
-        axis.set_title(f"{title} (dashed: T_M / r_b)")
+        axis.set_title(f"{axis.get_title()} (dashed: T_M / r_b)")
         axis.set_ylabel("bearing contact\nforce (N)")
     axes[-1].set_xlabel("time (mesh periods)")
     return figure

@@ -70,10 +70,10 @@ def server_of(recording: Recording, port: int, web_port: int) -> Iterator[Destin
 
     Raises UsageError if a port is taken.
     """
-    from gear_dynamics_ros.viewer.destinations import OVERVIEW, ServerDestination
+    from gear_dynamics_ros.viewer.destinations import server_of_recording
 
     parameters = updated(recording.parameters, {"rerun.port": port, "rerun.web_port": web_port})
-    target = ServerDestination(parameters, OVERVIEW)
+    target = server_of_recording(parameters)
     try:
         yield target
     finally:

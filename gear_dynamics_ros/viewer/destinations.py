@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 import os
 import socket
 import subprocess
@@ -22,7 +23,9 @@ from gear_dynamics_ros.viewer.thinning import Density
 
 APPLICATION: Final = "gear_dynamics_ros"
 SERVER_ADDRESS: Final = "127.0.0.1"
-SERVER_MEMORY: Final = "256MiB"
+# What a server keeps for viewers that connect later, by Rerun's count; then it drops the oldest.
+LIVE_MEMORY: Final = "96MiB"  # some minutes of a run
+RECORDED_MEMORY: Final = "2GiB"  # any recording, at the density of a file
 PROBE_TIMEOUT: Final = 0.5  # s of wall time
 FULL_SPAN: Final = 60.0  # s of a run that a file has at full density
 FILE_SEND_INTERVAL: Final = 2.0  # s of wall time between blocks of a file
@@ -62,7 +65,7 @@ def destination(parameters: Parameters) -> Destination:
         _require_new_files(path)
         return FileDestination(parameters, path, path)
     if mode == "serve":
-        return ServerDestination(parameters, "operator")
+        return ServerDestination(parameters, "operator", Density(math.inf), LIVE_MEMORY)
     if mode == "connect":
         return ViewerDestination(parameters)
     raise UsageError(f"rerun.mode {mode!r} shows nothing: use save, serve, connect")
@@ -121,13 +124,14 @@ class FileDestination(_Stream):
 class ServerDestination(_Stream):
     """A server on the loopback interface for viewers, and a page for browsers."""
 
-    def __init__(self, parameters: Parameters, layout: str) -> None:
-        """``layout`` is that with which viewers open, one of LAYOUTS.
+    def __init__(self, parameters: Parameters, layout: str, density: Density, memory: str) -> None:
+        """``layout`` is that with which viewers open, one of LAYOUTS; ``memory`` is what the server keeps.
 
         Raises UsageError if a port is taken; Rerun would drop the data.
         """
-        super().__init__(parameters, Density(float("inf")))
+        super().__init__(parameters, density)
         self._layout = layout
+        self._memory = memory
         self._port, self._web_port = parameters.rerun.port, parameters.rerun.web_port
         _require_free(self._port, "rerun.port")
         url = f"rerun+http://{SERVER_ADDRESS}:{self._port}/proxy"
@@ -139,7 +143,7 @@ class ServerDestination(_Stream):
             self._page = start_child(web_page_command(self._web_port, url))
 
     def open(self) -> None:
-        sink = rr.GrpcServerSink(SERVER_ADDRESS, self._port, server_memory_limit=SERVER_MEMORY)
+        sink = rr.GrpcServerSink(SERVER_ADDRESS, self._port, server_memory_limit=self._memory)
         self.begin(sink, self._layout, blueprint.SLOW_MOTION if self._layout == OVERVIEW else blueprint.LIVE)
 
     def close(self) -> None:
@@ -149,12 +153,20 @@ class ServerDestination(_Stream):
             self._page = None
 
 
+def server_of_recording(parameters: Parameters) -> ServerDestination:
+    """A server that shows a run that has ended, from its first sample on.
+
+    Raises UsageError as ServerDestination does.
+    """
+    return ServerDestination(parameters, OVERVIEW, Density(FULL_SPAN), RECORDED_MEMORY)
+
+
 class ViewerDestination(_Stream):
     """A viewer that listens at ``rerun.url``."""
 
     def __init__(self, parameters: Parameters) -> None:
         """Raises UsageError if the URL has no host and port."""
-        super().__init__(parameters, Density(float("inf")))
+        super().__init__(parameters, Density(math.inf))
         self.address = parameters.rerun.url
         self._place = viewer_address(self.address)
         self._sink = rr.GrpcSink(self.address)
