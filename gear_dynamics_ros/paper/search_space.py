@@ -24,9 +24,13 @@ from gear_dynamics_ros.sweeps.point import Measurement, measure
 OPEN_PARAMETERS: Final = (
     "mesh.error_cos[0]=7e-6:12e-6",
     "mesh.error_cos[1]=-1.5e-6:1.5e-6",
+    "mesh.error_cos[2]=-1e-6:1e-6",
     "mesh.error_sin[1]=-1.5e-6:1.5e-6",
+    "mesh.error_sin[2]=-1e-6:1e-6",
     "mesh.stiffness_cos[0]=-0.2:0.2",
+    "mesh.stiffness_cos[1]=-0.12:0.12",
     "mesh.stiffness_sin[0]=-0.2:0.2",
+    "mesh.stiffness_sin[1]=-0.12:0.12",
     "bearings.*.clearance=10e-6:45e-6",
     "bearings.*.length=8e-3:25e-3",
     "bearings.*.diameter=30e-3:65e-3",
@@ -35,7 +39,8 @@ OPEN_PARAMETERS: Final = (
     "bearings.*.kelvin_stiffness=0.7e8:1.4e8",
     "bearings.*.kelvin_damping=500:3000",
     "surface.scale=1.15:2.0",
-    "surface.*.offset=0:6.283185307179586",
+    "surface.driving.offset=0:6.283185307179586",
+    "surface.driven.offset=0:6.283185307179586",
 )
 RESTITUTION: Final = "bearings.*.restitution=0.15:1.0"
 # No exponents: the 0-1 test alone tells what is chaotic. They would take as long as everything else.
