@@ -311,7 +311,8 @@ def forces_figure(results: PaperResults, cases: Mapping[str, str]) -> Figure:
     """Bearing contact force over time of each of ``cases``, titles to names."""
     figure = Figure(figsize=(10.0, 7.2), layout="constrained")
     axes = figure.subplots(len(cases), 1, sharex=True)
-    for axis, name, colour in _panels(axes, cases):
+    titled = {f"{title} (dashed: T_M / r_b)": name for title, name in cases.items()}
+    for axis, name, colour in _panels(axes, titled):
         samples = results.waveforms.get(name)
         if samples is None:
             _nothing(axis)
@@ -320,7 +321,6 @@ def forces_figure(results: PaperResults, cases: Mapping[str, str]) -> Figure:
             axis.plot(periods, shown.contact_force(GEAR), color=colour)
             axis.set_xlim(0.0, SHOWN_PERIODS)
         axis.axhline(results.static_force, color=palette.GREY, linewidth=0.9, linestyle="--")
-        axis.set_title(f"{axis.get_title()} (dashed: T_M / r_b)")
         axis.set_ylabel("bearing contact\nforce (N)")
     axes[-1].set_xlabel("time (mesh periods)")
     return figure
