@@ -49,6 +49,8 @@ def search_paper(
 
     def missing(points: NDArray[np.float64]) -> NDArray[np.float64]:
         coordinates = np.ascontiguousarray(points.T)
+        if not found:
+            coordinates[0] = space.start  # to the bit, which its way through scipy's units may change
         outcomes = trials.outcomes(coordinates, len(COMPARABLE) + len(CLAIMS))
         found.extend(
             _trial(point, outcome.residuals) for point, outcome in zip(coordinates, outcomes, strict=True)

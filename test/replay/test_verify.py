@@ -14,7 +14,9 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
+from mcap.writer import MCAP0_MAGIC
 
 from gear_dynamics_ros import recording
 from gear_dynamics_ros.channels import CHANNEL_NAMES, COLUMN
@@ -23,6 +25,7 @@ from gear_dynamics_ros.cli.replay import replay_main
 from gear_dynamics_ros.errors import GearboxError, UsageError
 from gear_dynamics_ros.messages.encoder import Encoder
 from gear_dynamics_ros.parameters import Parameters, change_values
+from gear_dynamics_ros.recording.mcap.records import split_records
 from gear_dynamics_ros.recording.recorder import Recorder
 from gear_dynamics_ros.recording.recorder_sink import RecorderSink
 from gear_dynamics_ros.recording.ring import Ring
@@ -494,8 +497,14 @@ def test_a_recording_without_a_message_verifies_unless_it_broke_off(tmp_path: Pa
     result = verify_recording(recording.open(tmp_path / "bag"))
     assert (result.difference, result.samples, result.states) == (None, 0, 1)
     content = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
-    for size in (10_000, 14_000):  # within the channels
-        (tmp_path / "cut.mcap").write_bytes(content[:size])
+    begins = [
+        len(MCAP0_MAGIC) + offset
+        for opcode, offset, _ in split_records(content[len(MCAP0_MAGIC) : -len(MCAP0_MAGIC)])
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL)
+    ]
+    # the start lies before them, however long the names of machine and versions in it are
+    for begin in begins[1:10:4]:
+        (tmp_path / "cut.mcap").write_bytes(content[: begin + 20])
         with pytest.raises(GearboxError, match="broke off before its first message"):
             verify_recording(recording.open(tmp_path / "cut.mcap"))
 
