@@ -80,9 +80,7 @@ def test_the_page_tells_what_the_others_lose() -> None:
 
 
 def test_an_interrupted_search_goes_on_with_the_same_trials(tmp_path: Path) -> None:
-    whole = one_restitution(BASE)
-    least = Effort("least", 16000, 1.0, Measurement(2, 100, 20, 0))
-    space = replace(whole, unknowns=whole.unknowns[:4], start=whole.start[:4], effort=least)
+    space = replace(one_restitution(BASE), effort=Effort("least", 16000, 1.0, Measurement(2, 100, 20, 0)))
 
     def search(journal: FitJournal) -> list[PaperTrial]:
         with Trials(space, journal, 2, lambda: "") as trials:
